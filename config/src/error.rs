@@ -1,0 +1,52 @@
+//! What can be wrong with a configuration.
+
+use std::path::PathBuf;
+
+/// A configuration that cannot be used, in one sentence for the person who wrote it.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file could not be read.
+    #[error("cannot read the configuration {}: {source}", path.display())]
+    Read {
+        /// File that was asked for.
+        path: PathBuf,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// Syntax error, unknown key, or a value of the wrong type.
+    #[error("the configuration {origin} is not valid: {}", message.trim_end())]
+    Parse {
+        /// File or source of the text.
+        origin: String,
+        /// The parser's message, with line and key.
+        message: String,
+    },
+    /// A value that cannot work.
+    #[error("the configuration key {key} {problem}")]
+    Invalid {
+        /// Dotted key, as in the file.
+        key: &'static str,
+        /// What is wrong and what to do.
+        problem: String,
+    },
+}
+
+impl ConfigError {
+    /// An [`ConfigError::Invalid`].
+    pub(crate) fn invalid(key: &'static str, problem: impl Into<String>) -> Self {
+        Self::Invalid { key, problem: problem.into() }
+    }
+}
+
+/// `Ok` if the value lies in the closed range, else an error that names the key and the range.
+pub(crate) fn in_range<T>(key: &'static str, value: T, low: T, high: T) -> Result<(), ConfigError>
+where
+    T: PartialOrd + std::fmt::Display + Copy,
+{
+    // Written so that NaN fails.
+    if value >= low && value <= high {
+        Ok(())
+    } else {
+        Err(ConfigError::invalid(key, format!("is {value}; it must lie between {low} and {high}")))
+    }
+}

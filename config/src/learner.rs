@@ -1,0 +1,96 @@
+//! The processes: learner and actors.
+
+use crate::env::EnvConfig;
+use crate::error::{ConfigError, in_range};
+use serde::{Deserialize, Serialize};
+
+/// The learner process.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LearnerConfig {
+    /// Lock-step mode: one actor, no collection during an update, repeats bit for bit.
+    pub serial: bool,
+    /// Most policy versions that a fragment may be behind; older ones are dropped and counted.
+    pub max_policy_lag: u64,
+    /// Rounds that may wait in the buffer per scenario before back-pressure stops the streams.
+    pub buffered_rounds: u32,
+    /// Updates between two checkpoints; the last update always writes one.
+    pub checkpoint_updates: u64,
+    /// Newest checkpoints that are kept.
+    pub keep_checkpoints: usize,
+    /// Most actors at a time.
+    pub max_actors: usize,
+    /// Largest gRPC message, bytes.
+    pub max_message_bytes: usize,
+    /// Seconds without a message or keepalive answer after which an actor's lease ends.
+    pub lease_seconds: u64,
+    /// Seconds a drain may take after SIGTERM before the process exits regardless.
+    pub drain_seconds: u64,
+}
+
+impl Default for LearnerConfig {
+    fn default() -> Self {
+        Self {
+            serial: false,
+            max_policy_lag: 4,
+            buffered_rounds: 2,
+            checkpoint_updates: 10,
+            keep_checkpoints: 5,
+            max_actors: 1024,
+            max_message_bytes: 16 * 1024 * 1024,
+            lease_seconds: 30,
+            drain_seconds: 20,
+        }
+    }
+}
+
+impl LearnerConfig {
+    pub(crate) fn validate(&self, _env: &EnvConfig) -> Result<(), ConfigError> {
+        in_range("learner.max_policy_lag", self.max_policy_lag, 0, 1_000_000)?;
+        in_range("learner.buffered_rounds", self.buffered_rounds, 1, 1000)?;
+        in_range("learner.checkpoint_updates", self.checkpoint_updates, 1, 1_000_000)?;
+        in_range("learner.keep_checkpoints", self.keep_checkpoints, 1, 1_000_000)?;
+        in_range("learner.max_actors", self.max_actors, 1, 1_000_000)?;
+        in_range("learner.max_message_bytes", self.max_message_bytes, 64 * 1024, 1 << 30)?;
+        in_range("learner.lease_seconds", self.lease_seconds, 1, 3600)?;
+        in_range("learner.drain_seconds", self.drain_seconds, 1, 3600)
+    }
+}
+
+/// The actor processes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ActorConfig {
+    /// Most steps in a fragment; a whole episode by default. Weights are swapped between fragments.
+    pub fragment_steps: u32,
+    /// Fragments that may be sent and not yet acknowledged.
+    pub unacked_fragments: usize,
+    /// Seconds a call to SUMO may take.
+    pub sumo_timeout_seconds: u64,
+    /// Seconds without a learner after which an actor gives up.
+    pub give_up_seconds: u64,
+    /// SUMO starts that may fail in a row before an actor gives up.
+    pub max_sumo_failures: u32,
+}
+
+impl Default for ActorConfig {
+    fn default() -> Self {
+        Self {
+            fragment_steps: 120,
+            unacked_fragments: 4,
+            sumo_timeout_seconds: 60,
+            give_up_seconds: 600,
+            max_sumo_failures: 5,
+        }
+    }
+}
+
+impl ActorConfig {
+    pub(crate) fn validate(&self, env: &EnvConfig) -> Result<(), ConfigError> {
+        in_range("actor.fragment_steps", self.fragment_steps, 1, env.steps_per_episode())?;
+        in_range("actor.unacked_fragments", self.unacked_fragments, 1, 1024)?;
+        in_range("actor.sumo_timeout_seconds", self.sumo_timeout_seconds, 1, 3600)?;
+        in_range("actor.give_up_seconds", self.give_up_seconds, 1, 30 * 24 * 3600)?;
+        in_range("actor.max_sumo_failures", self.max_sumo_failures, 1, 1000)
+    }
+}

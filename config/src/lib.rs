@@ -1,0 +1,193 @@
+//! Every knob of CROSS in one place, with its unit, its default and the reason for it.
+//!
+//! One TOML file configures a run; unknown keys are refused by name. [`Config::default`] is what `make train` uses;
+//! `configs/paper.toml` keeps the paper's form to the letter. The same structure travels to the actors as JSON, so a
+//! cluster has one source of truth: the learner's file.
+
+mod env;
+mod error;
+mod learner;
+mod model;
+mod ppo;
+
+pub use env::{Detection, EnvConfig};
+pub use error::ConfigError;
+pub use learner::{ActorConfig, LearnerConfig};
+pub use model::{Gfe, ModelConfig};
+pub use ppo::{EntropySchedule, PpoConfig, RewardScale};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::path::Path;
+
+/// The whole configuration of a training run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// Seed of everything random: initial weights, minibatch order, action sampling, SUMO seeds of training episodes.
+    pub seed: u64,
+    /// Scenarios trained on together, by name or by path to a directory with a `scenario.toml`.
+    pub scenarios: Vec<String>,
+    /// Number of PPO updates after which training is complete.
+    pub updates: u64,
+    /// Decisions, signals, observation, reward.
+    pub env: EnvConfig,
+    /// Networks.
+    pub model: ModelConfig,
+    /// Algorithm.
+    pub ppo: PpoConfig,
+    /// Learner process: admission, checkpoints, limits.
+    pub learner: LearnerConfig,
+    /// Actor processes: fragments, reconnection, SUMO.
+    pub actor: ActorConfig,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            scenarios: vec!["grid4x4".to_owned()],
+            updates: 100,
+            env: EnvConfig::default(),
+            model: ModelConfig::default(),
+            ppo: PpoConfig::default(),
+            learner: LearnerConfig::default(),
+            actor: ActorConfig::default(),
+        }
+    }
+}
+
+impl Config {
+    /// Reads and validates a TOML file.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names the file, and the key and line where the text is at fault.
+    pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        Self::from_toml(&text, &path.display().to_string())
+    }
+
+    /// Parses and validates TOML text; `origin` is how errors call it.
+    ///
+    /// # Errors
+    /// [`ConfigError::Parse`] for syntax, unknown keys and wrong types, [`ConfigError::Invalid`] for values that cannot work.
+    pub fn from_toml(text: &str, origin: &str) -> Result<Self, ConfigError> {
+        let config: Self = toml::from_str(text)
+            .map_err(|source| ConfigError::Parse { origin: origin.to_owned(), message: source.to_string() })?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Parses and validates the JSON form that the learner hands to actors and writes into checkpoints.
+    ///
+    /// # Errors
+    /// As [`Config::from_toml`].
+    pub fn from_json(text: &str, origin: &str) -> Result<Self, ConfigError> {
+        let config: Self = serde_json::from_str(text)
+            .map_err(|source| ConfigError::Parse { origin: origin.to_owned(), message: source.to_string() })?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// The JSON form, keys in declaration order, without insignificant white space.
+    #[must_use]
+    pub fn to_json(&self) -> String {
+        // The structure holds only numbers, strings and lists, which always serialise.
+        serde_json::to_string(self).expect("a configuration serialises")
+    }
+
+    /// The TOML form, as `cross train` writes it into the run directory.
+    #[must_use]
+    pub fn to_toml(&self) -> String {
+        // As above.
+        toml::to_string_pretty(self).expect("a configuration serialises")
+    }
+
+    /// What actor and learner must agree on: 16 hex digits of SHA-256 over the environment and model sections.
+    ///
+    /// Algorithm and process settings may differ between a checkpoint and the run that resumes it; these two may not,
+    /// because they decide what a weight means.
+    #[must_use]
+    pub fn compatibility_hash(&self) -> String {
+        // As above.
+        let json = serde_json::to_vec(&(&self.env, &self.model)).expect("a configuration serialises");
+        hex::encode(&Sha256::digest(json)[..8])
+    }
+
+    /// 16 hex digits of SHA-256 over the whole configuration, as checkpoints record it.
+    #[must_use]
+    pub fn hash(&self) -> String {
+        hex::encode(&Sha256::digest(self.to_json().as_bytes())[..8])
+    }
+
+    /// Checks that the values can work together.
+    ///
+    /// # Errors
+    /// [`ConfigError::Invalid`] with the first key at fault and what it may be.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        if self.scenarios.is_empty() {
+            return Err(ConfigError::invalid("scenarios", "is empty; name at least one scenario"));
+        }
+        let mut names = self.scenarios.clone();
+        names.sort();
+        names.dedup();
+        if names.len() != self.scenarios.len() {
+            return Err(ConfigError::invalid("scenarios", "names a scenario twice; list each once"));
+        }
+        self.env.validate()?;
+        self.model.validate()?;
+        self.ppo.validate(&self.env)?;
+        self.learner.validate(&self.env)?;
+        self.actor.validate(&self.env)?;
+        if self.learner.serial && self.ppo.round_steps % self.env.steps_per_episode() != 0 {
+            return Err(ConfigError::invalid(
+                "ppo.round_steps",
+                format!(
+                    "is {}, but serial mode resumes exactly only between whole episodes; make it a multiple of {}",
+                    self.ppo.round_steps,
+                    self.env.steps_per_episode()
+                ),
+            ));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn default_round_trips_through_toml_and_json() {
+        let config = Config::default();
+        assert_eq!(Config::from_toml(&config.to_toml(), "test").unwrap(), config);
+        assert_eq!(Config::from_json(&config.to_json(), "test").unwrap(), config);
+    }
+
+    #[test]
+    fn unknown_key_is_refused_by_name() {
+        let error = Config::from_toml("[ppo]\nlearning_rat = 1.0\n", "my.toml").unwrap_err().to_string();
+        assert!(error.contains("my.toml") && error.contains("learning_rat"), "{error}");
+    }
+
+    #[test]
+    fn algorithm_changes_keep_compatibility_and_model_changes_do_not() {
+        let base = Config::default();
+        let mut other = base.clone();
+        other.ppo.clip_ratio = 0.1;
+        assert_eq!(base.compatibility_hash(), other.compatibility_hash());
+        assert_ne!(base.hash(), other.hash());
+        other.model.experts = 4;
+        assert_ne!(base.compatibility_hash(), other.compatibility_hash());
+    }
+
+    #[test]
+    fn serial_mode_needs_whole_episodes() {
+        let mut config = Config::default();
+        config.learner.serial = true;
+        config.ppo.round_steps = 100;
+        let error = config.validate().unwrap_err().to_string();
+        assert!(error.contains("ppo.round_steps") && error.contains("360"), "{error}");
+    }
+}

@@ -1,0 +1,4 @@
+//! Traffic-signal control on SUMO: scenarios, signals, observation, reward, metrics and rule-based controllers.
+
+pub mod layout;
+pub mod trajectory;
