@@ -1,0 +1,183 @@
+//! Vehicles on lanes: what SUMO reports about each vehicle, folded into counts per lane.
+//!
+//! ```text
+//!   (lane id, position, speed) of each vehicle ── LaneTable::add ──> LaneCounts of each lane ──> observation, reward,
+//!                                                                                               controllers, metrics
+//! ```
+//! Only lanes that a layout names are counted; a lane that leaves one intersection and enters the next has one slot.
+
+use crate::layout::NetworkLayout;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Below this speed, m/s, a vehicle counts as stopped (SUMO's own threshold for halting).
+pub const STOPPED_SPEED: f64 = 0.1;
+/// Reach of the paper's detectors before the end of a lane, metres.
+pub const NEAR_METRES: f64 = 50.0;
+/// End of the second band of [`Detection::Default`](cross_config::Detection::Default), metres before the end of a lane.
+pub const MIDDLE_METRES: f64 = 100.0;
+
+/// Vehicles on one lane at one moment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LaneCounts {
+    /// Stopped, whole lane.
+    pub stopped: u16,
+    /// All, whole lane.
+    pub total: u16,
+    /// Stopped within 50 m of the lane's end.
+    pub stopped_near: u16,
+    /// All within 50 m of the lane's end.
+    pub total_near: u16,
+    /// Moving within 100 m of the lane's end.
+    pub moving_middle: u16,
+    /// Stopped within the reward's range of the lane's end.
+    pub stopped_in_reward_range: u16,
+}
+
+impl LaneCounts {
+    /// Moving, whole lane.
+    #[must_use]
+    pub fn moving(&self) -> u16 {
+        self.total - self.stopped
+    }
+
+    /// Moving within 50 m of the lane's end.
+    #[must_use]
+    pub fn moving_near(&self) -> u16 {
+        self.total_near - self.stopped_near
+    }
+
+    fn add(&mut self, distance_to_end: f64, stopped: bool, reward_range: f64) {
+        // A lane never holds 65,535 vehicles; if SUMO ever said so, the count stays at the end of its range.
+        fn bump(count: &mut u16, condition: bool) {
+            *count = count.saturating_add(u16::from(condition));
+        }
+        let near = distance_to_end <= NEAR_METRES;
+        bump(&mut self.total, true);
+        bump(&mut self.stopped, stopped);
+        bump(&mut self.total_near, near);
+        bump(&mut self.stopped_near, near && stopped);
+        bump(&mut self.moving_middle, !stopped && distance_to_end <= MIDDLE_METRES);
+        bump(&mut self.stopped_in_reward_range, stopped && distance_to_end <= reward_range);
+    }
+}
+
+/// Which slot of a [`LaneTable`] belongs to which lane, and to which row of which agent.
+#[derive(Debug)]
+struct LaneIndex {
+    slot_of_id: HashMap<Box<str>, u32>,
+    lengths: Vec<f64>,
+    /// Slot of each lane row of the layout: agents in order, incoming lanes then outgoing ones.
+    rows: Vec<u32>,
+    /// For each agent the first row and how many of its rows are incoming; one more entry closes the last agent.
+    agents: Vec<(usize, usize)>,
+    /// Distinct lanes that enter any agent, in order of their first row.
+    incoming: Vec<u32>,
+}
+
+/// Counts of every lane that the layout names.
+#[derive(Debug, Clone)]
+pub struct LaneTable {
+    index: Arc<LaneIndex>,
+    counts: Vec<LaneCounts>,
+    reward_range: f64,
+}
+
+impl LaneTable {
+    /// An empty table for a layout; `reward_range` in metres before the end of a lane.
+    #[must_use]
+    pub fn new(layout: &NetworkLayout, reward_range: f64) -> Self {
+        let mut index = LaneIndex {
+            slot_of_id: HashMap::new(),
+            lengths: Vec::new(),
+            rows: Vec::with_capacity(layout.lane_rows()),
+            agents: Vec::with_capacity(layout.agents() + 1),
+            incoming: Vec::new(),
+        };
+        let mut enters = Vec::new();
+        for intersection in &layout.intersections {
+            index.agents.push((index.rows.len(), intersection.incoming.len()));
+            let incoming = intersection.incoming.iter().map(|lane| (lane, true));
+            for (lane, is_incoming) in incoming.chain(intersection.outgoing.iter().map(|lane| (lane, false))) {
+                let next = index.lengths.len() as u32;
+                let slot = *index.slot_of_id.entry(lane.id.as_str().into()).or_insert(next);
+                if slot == next {
+                    index.lengths.push(f64::from(lane.length));
+                    enters.push(false);
+                }
+                index.rows.push(slot);
+                if is_incoming && !std::mem::replace(&mut enters[slot as usize], true) {
+                    index.incoming.push(slot);
+                }
+            }
+        }
+        index.agents.push((index.rows.len(), 0));
+        let counts = vec![LaneCounts::default(); index.lengths.len()];
+        Self { index: Arc::new(index), counts, reward_range }
+    }
+
+    /// Forgets all vehicles.
+    pub fn clear(&mut self) {
+        self.counts.fill(LaneCounts::default());
+    }
+
+    /// Counts one vehicle: lane id, position of its front from the start of the lane in metres, speed in m/s.
+    /// A vehicle on a lane that the layout does not name (inside a junction, say) is not counted.
+    pub fn add(&mut self, lane: &str, position: f64, speed: f64) {
+        if let Some(&slot) = self.index.slot_of_id.get(lane) {
+            let slot = slot as usize;
+            let distance_to_end = self.index.lengths[slot] - position;
+            self.counts[slot].add(distance_to_end, speed < STOPPED_SPEED, self.reward_range);
+        }
+    }
+
+    /// Number of agents.
+    #[must_use]
+    pub fn agents(&self) -> usize {
+        self.index.agents.len() - 1
+    }
+
+    /// Counts of one lane row of the layout: agents in order, in each incoming lanes then outgoing ones.
+    ///
+    /// # Panics
+    /// If there are not so many rows.
+    #[must_use]
+    pub fn row(&self, row: usize) -> &LaneCounts {
+        &self.counts[self.index.rows[row] as usize]
+    }
+
+    /// Counts of an agent's n-th incoming lane, as [`Movement::incoming`](crate::layout::Movement) numbers them.
+    ///
+    /// # Panics
+    /// If the agent or the lane does not exist.
+    #[must_use]
+    pub fn incoming(&self, agent: usize, lane: usize) -> &LaneCounts {
+        self.row(self.index.agents[agent].0 + lane)
+    }
+
+    /// Counts of an agent's n-th outgoing lane, as [`Movement::outgoing`](crate::layout::Movement) numbers them.
+    ///
+    /// # Panics
+    /// If the agent or the lane does not exist.
+    #[must_use]
+    pub fn outgoing(&self, agent: usize, lane: usize) -> &LaneCounts {
+        let (first, incoming) = self.index.agents[agent];
+        self.row(first + incoming + lane)
+    }
+
+    /// Counts of all rows in layout order.
+    pub fn rows(&self) -> impl ExactSizeIterator<Item = &LaneCounts> {
+        self.index.rows.iter().map(|&slot| &self.counts[slot as usize])
+    }
+
+    /// Counts of the incoming lanes of one agent.
+    pub fn incoming_of(&self, agent: usize) -> impl ExactSizeIterator<Item = &LaneCounts> {
+        let (first, incoming) = self.index.agents[agent];
+        self.index.rows[first..first + incoming].iter().map(|&slot| &self.counts[slot as usize])
+    }
+
+    /// Counts of every signalised incoming lane of the network, each lane once: what queue length is measured on.
+    pub fn signalised_incoming(&self) -> impl ExactSizeIterator<Item = &LaneCounts> {
+        self.index.incoming.iter().map(|&slot| &self.counts[slot as usize])
+    }
+}
