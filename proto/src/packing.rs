@@ -1,0 +1,147 @@
+//! Vehicle counts in few bytes.
+//!
+//! Counts of vehicles in a lane's bands are nearly always small and mostly zero. They are written as a sequence of
+//! four-bit codes, two a byte, low half first:
+//!
+//! | code | followed by | meaning |
+//! |---|---|---|
+//! | 0..=13 | | that count |
+//! | 14 | one code `r` | a run of `r + 3` zeros, 3 to 18 |
+//! | 15 | four codes, lowest first | a count of 16 bits, 14 to 65535 |
+//!
+//! An odd number of codes is filled up with a 0. The number of counts is not written: the receiver knows it from the
+//! layout and the number of steps, and refuses bytes that hold more or fewer.
+
+/// Largest count that is its own code.
+const MAX_DIRECT: u16 = 13;
+const RUN: u8 = 14;
+const WIDE: u8 = 15;
+/// Shortest run worth its two codes; shorter ones are single zeros.
+const MIN_RUN: usize = 3;
+const MAX_RUN: usize = MIN_RUN + 15;
+
+/// Why bytes are not packed counts.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PackingError {
+    /// The bytes end too early.
+    #[error("ends before the {expected} counts that its layout and steps give")]
+    TooShort {
+        /// Counts that were asked for.
+        expected: usize,
+    },
+    /// There is more than was asked for.
+    #[error("holds more than the {expected} counts that its layout and steps give")]
+    TooLong {
+        /// Counts that were asked for.
+        expected: usize,
+    },
+    /// A wide code holds a count that has a short one.
+    #[error("writes the count {value} in the wide form that is for counts from 14")]
+    NotWide {
+        /// The count.
+        value: u16,
+    },
+}
+
+/// Packs counts.
+#[must_use]
+pub fn pack(counts: &[u16]) -> Vec<u8> {
+    let mut writer = Writer { bytes: Vec::with_capacity(counts.len() / 4 + 8), half: false };
+    let mut rest = counts;
+    while let Some(&count) = rest.first() {
+        let zeros = rest.iter().take(MAX_RUN).take_while(|&&c| c == 0).count();
+        if zeros >= MIN_RUN {
+            writer.put(RUN);
+            // At most MAX_RUN - MIN_RUN = 15.
+            writer.put((zeros - MIN_RUN) as u8);
+            rest = &rest[zeros..];
+            continue;
+        }
+        if count <= MAX_DIRECT {
+            writer.put(count as u8);
+        } else {
+            writer.put(WIDE);
+            for shift in [0, 4, 8, 12] {
+                writer.put((count >> shift) as u8 & 0xf);
+            }
+        }
+        rest = &rest[1..];
+    }
+    writer.bytes
+}
+
+/// Unpacks exactly `expected` counts.
+///
+/// Memory is taken only when the bytes are long enough to hold that many counts.
+///
+/// # Errors
+/// [`PackingError`] if the bytes hold fewer or more counts, or were not written by [`pack`]'s rules.
+pub fn unpack(bytes: &[u8], expected: usize) -> Result<Vec<u16>, PackingError> {
+    // The densest form is a run: one byte for MAX_RUN counts.
+    if bytes.len().saturating_mul(MAX_RUN) < expected {
+        return Err(PackingError::TooShort { expected });
+    }
+    let mut reader = Reader { bytes, next: 0 };
+    let mut counts = Vec::with_capacity(expected);
+    while counts.len() < expected {
+        match reader.get().ok_or(PackingError::TooShort { expected })? {
+            RUN => {
+                let zeros = reader.get().ok_or(PackingError::TooShort { expected })?;
+                let zeros = usize::from(zeros) + MIN_RUN;
+                if zeros > expected - counts.len() {
+                    return Err(PackingError::TooLong { expected });
+                }
+                counts.resize(counts.len() + zeros, 0);
+            }
+            WIDE => {
+                let mut value = 0;
+                for shift in [0, 4, 8, 12] {
+                    let code = reader.get().ok_or(PackingError::TooShort { expected })?;
+                    value |= u16::from(code) << shift;
+                }
+                if value <= MAX_DIRECT {
+                    return Err(PackingError::NotWide { value });
+                }
+                counts.push(value);
+            }
+            direct => counts.push(u16::from(direct)),
+        }
+    }
+    // At most the filling half byte may be left, and it is 0.
+    let filling = reader.next % 2 == 1;
+    if (filling && reader.get() != Some(0)) || reader.get().is_some() {
+        return Err(PackingError::TooLong { expected });
+    }
+    Ok(counts)
+}
+
+struct Writer {
+    bytes: Vec<u8>,
+    /// Whether the last byte's high half is free.
+    half: bool,
+}
+
+impl Writer {
+    fn put(&mut self, code: u8) {
+        match self.bytes.last_mut().filter(|_| self.half) {
+            Some(last) => *last |= code << 4,
+            None => self.bytes.push(code),
+        }
+        self.half = !self.half;
+    }
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    /// Index of the next code.
+    next: usize,
+}
+
+impl Reader<'_> {
+    fn get(&mut self) -> Option<u8> {
+        let byte = *self.bytes.get(self.next / 2)?;
+        let code = if self.next % 2 == 0 { byte & 0xf } else { byte >> 4 };
+        self.next += 1;
+        Some(code)
+    }
+}
