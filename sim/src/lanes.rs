@@ -98,7 +98,8 @@ impl LaneTable {
         for intersection in &layout.intersections {
             index.agents.push((index.rows.len(), intersection.incoming.len()));
             let incoming = intersection.incoming.iter().map(|lane| (lane, true));
-            for (lane, is_incoming) in incoming.chain(intersection.outgoing.iter().map(|lane| (lane, false))) {
+            for (lane, is_incoming) in incoming.chain(intersection.outgoing.iter().map(|lane| (lane, false)))
+            {
                 let next = index.lengths.len() as u32;
                 let slot = *index.slot_of_id.entry(lane.id.as_str().into()).or_insert(next);
                 if slot == next {

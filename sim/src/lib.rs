@@ -1,6 +1,18 @@
 //! Traffic-signal control on SUMO: scenarios, signals, observation, reward, metrics and rule-based controllers.
+//!
+//! ```text
+//!   scenario.toml ── scenario ──> net ──> layout ─┬─> signal ──┐
+//!                                                 └─> lanes ───┼─> env <──> SUMO
+//!                                                              └── observe
+//! ```
 
 pub mod env;
+pub mod error;
 pub mod lanes;
 pub mod layout;
+pub mod net;
+pub mod scenario;
+pub mod signal;
 pub mod trajectory;
+
+pub use error::SimError;

@@ -9,6 +9,14 @@
 //! A [`NetworkLayout`] is read from the net alone, so that learner and actors compute the same one independently; its
 //! [hash](NetworkLayout::hash) is what they compare when an actor joins.
 
+mod error;
+mod extract;
+mod load;
+
+pub use error::LayoutError;
+pub use extract::FixedSignal;
+pub use load::load_layout;
+
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 

@@ -1,0 +1,84 @@
+//! The text of a `scenario.toml`.
+
+use serde::{Deserialize, Serialize};
+
+/// What a `scenario.toml` may say; unknown keys are refused.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Definition {
+    pub(super) name: Option<String>,
+    #[serde(default)]
+    pub(super) description: String,
+    #[serde(default)]
+    pub(super) source: String,
+    pub(super) net: String,
+    pub(super) routes: Vec<String>,
+    #[serde(default)]
+    pub(super) additional: Vec<String>,
+    #[serde(default)]
+    pub(super) begin: u32,
+    pub(super) end: u32,
+    #[serde(default)]
+    pub(super) sumo: SumoOptions,
+    #[serde(default)]
+    pub(super) reference: Reference,
+}
+
+/// SUMO options on which published numbers depend.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SumoOptions {
+    /// Seconds of standing after which a vehicle is moved on; -1 never.
+    pub time_to_teleport: f64,
+    /// Speed at departure of vehicles that do not say, as SUMO's `departSpeed` (metres per second or a word).
+    pub depart_speed: String,
+    /// Lane of departure of vehicles that do not say, as SUMO's `departLane` (an index or a word).
+    pub depart_lane: String,
+}
+
+impl Default for SumoOptions {
+    fn default() -> Self {
+        // The defaults of the SUMO versions the published numbers come from; newer ones depart faster and elsewhere.
+        Self { time_to_teleport: -1.0, depart_speed: "0".to_owned(), depart_lane: "first".to_owned() }
+    }
+}
+
+/// How published results on this scenario were made.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Reference {
+    /// Variant of Max-Pressure that reproduces the paper's row.
+    pub max_pressure: ReferenceMaxPressure,
+}
+
+/// A variant of Max-Pressure: what counts against a phase on its outgoing lanes, and how far detectors reach.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ReferenceMaxPressure {
+    /// Vehicles counted on outgoing lanes.
+    pub outgoing: ReferenceOutgoing,
+    /// Reach of the counts.
+    pub range: ReferenceRange,
+}
+
+/// Vehicles that Max-Pressure counts on outgoing lanes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReferenceOutgoing {
+    /// All vehicles.
+    All,
+    /// Stopped vehicles.
+    #[default]
+    Stopped,
+}
+
+/// Part of a lane on which Max-Pressure counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReferenceRange {
+    /// All of it.
+    #[default]
+    WholeLane,
+    /// Its last 50 m.
+    Last50m,
+}
