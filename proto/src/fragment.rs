@@ -292,3 +292,6 @@ fn floats_from_bytes(
         None => Ok(values),
     }
 }
+
+#[cfg(test)]
+mod tests;

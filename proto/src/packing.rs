@@ -140,8 +140,90 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn get(&mut self) -> Option<u8> {
         let byte = *self.bytes.get(self.next / 2)?;
-        let code = if self.next % 2 == 0 { byte & 0xf } else { byte >> 4 };
+        let code = (byte >> (4 * (self.next % 2))) & 0xf;
         self.next += 1;
         Some(code)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Counts as traffic gives them: mostly zeros, sometimes a queue, rarely a jam on a long lane.
+    fn counts() -> impl Strategy<Value = Vec<u16>> {
+        let count = prop_oneof![6 => Just(0), 3 => 0..20_u16, 1 => any::<u16>()];
+        proptest::collection::vec(count, 0..400)
+    }
+
+    proptest! {
+        #[test]
+        fn round_trip(counts in counts()) {
+            prop_assert_eq!(unpack(&pack(&counts), counts.len()), Ok(counts));
+        }
+
+        #[test]
+        fn every_other_length_is_refused(counts in counts(), difference in 1..4_usize, more: bool) {
+            let other = if more { counts.len() + difference } else { counts.len().saturating_sub(difference) };
+            prop_assume!(other != counts.len());
+            // The 0 that fills the last byte cannot be told from a last count of 0; nothing else may pass.
+            if let Ok(unpacked) = unpack(&pack(&counts), other) {
+                prop_assert_eq!(other.abs_diff(counts.len()), 1);
+                let longer = if other > counts.len() { &unpacked } else { &counts };
+                prop_assert_eq!(longer.last(), Some(&0));
+            }
+        }
+
+        #[test]
+        fn a_byte_more_or_less_is_refused(counts in counts(), extra: u8) {
+            let mut packed = pack(&counts);
+            packed.push(extra);
+            prop_assert_eq!(unpack(&packed, counts.len()), Err(PackingError::TooLong { expected: counts.len() }));
+            packed.pop();
+            if packed.pop().is_some() {
+                prop_assert_eq!(unpack(&packed, counts.len()), Err(PackingError::TooShort { expected: counts.len() }));
+            }
+        }
+
+        #[test]
+        fn garbage_gives_the_asked_number_or_an_error(bytes: Vec<u8>, expected in 0..2000_usize) {
+            if let Ok(counts) = unpack(&bytes, expected) {
+                prop_assert_eq!(counts.len(), expected);
+            }
+        }
+    }
+
+    #[test]
+    fn the_layout_of_codes_is_fixed() {
+        assert_eq!(pack(&[1, 2, 13]), [0x21, 0x0d]);
+        assert_eq!(pack(&[0, 0]), [0x00]);
+        assert_eq!(pack(&[0; 3]), [0x0e]);
+        assert_eq!(pack(&[0; 18]), [0xfe]);
+        assert_eq!(pack(&[0; 19]), [0xfe, 0x00]);
+        assert_eq!(pack(&[14]), [0xef, 0x00, 0x00]);
+        assert_eq!(pack(&[0x1234, 1]), [0x4f, 0x23, 0x11]);
+        assert!(pack(&[]).is_empty());
+    }
+
+    #[test]
+    fn a_huge_expectation_takes_no_memory() {
+        assert_eq!(unpack(&[0xfe; 10], usize::MAX), Err(PackingError::TooShort { expected: usize::MAX }));
+    }
+
+    #[test]
+    fn a_run_past_the_end_is_refused() {
+        assert_eq!(unpack(&[0xfe], 17), Err(PackingError::TooLong { expected: 17 }));
+    }
+
+    #[test]
+    fn a_small_count_in_the_wide_form_is_refused() {
+        assert_eq!(unpack(&[0x3f, 0x00, 0x00], 1), Err(PackingError::NotWide { value: 3 }));
+    }
+
+    #[test]
+    fn a_filling_that_is_not_zero_is_refused() {
+        assert_eq!(unpack(&[0x15], 1), Err(PackingError::TooLong { expected: 1 }));
+        assert_eq!(unpack(&[0x05], 1), Ok(vec![5]));
     }
 }

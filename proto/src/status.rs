@@ -217,3 +217,80 @@ fn shortened(mut text: String) -> String {
     }
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the other side sees: through the headers that gRPC sends.
+    fn transmitted(status: &Status) -> Status {
+        let response = status.clone().into_http::<()>();
+        Status::from_header_map(response.headers()).unwrap()
+    }
+
+    #[test]
+    fn every_reason_reads_back() {
+        for &expected in Reason::ALL {
+            let status = transmitted(&error(expected, "something happened"));
+            assert_eq!(reason(&status), Some(expected));
+            assert_eq!(status.code(), expected.code());
+            assert_eq!(status.message(), "something happened");
+            assert_eq!(retry_delay(&status), None);
+        }
+    }
+
+    #[test]
+    fn names_are_upper_snake_case_and_distinct() {
+        let mut names: Vec<_> = Reason::ALL.iter().map(|reason| reason.as_str()).collect();
+        for name in &names {
+            assert!(name.chars().all(|c| c.is_ascii_uppercase() || c == '_'), "{name}");
+        }
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), Reason::ALL.len());
+    }
+
+    #[test]
+    fn a_violation_is_named_in_words_and_in_the_details() {
+        let violation = Violation::new("fragment.rewards", "has NaN");
+        let status = transmitted(&Status::from(violation.clone()));
+        assert_eq!(status.code(), Code::InvalidArgument);
+        assert_eq!(reason(&status), Some(Reason::InvalidField));
+        assert_eq!(status.message(), "fragment.rewards has NaN");
+        assert_eq!(violations(&status), [violation]);
+    }
+
+    #[test]
+    fn a_delay_reads_back() {
+        let delay = Duration::from_millis(2500);
+        for status in [draining(delay), too_many_actors(3, delay)] {
+            let status = transmitted(&status);
+            assert_eq!(retry_delay(&status), Some(delay));
+            assert!(reason(&status).is_some_and(Reason::heals));
+        }
+    }
+
+    #[test]
+    fn mismatches_name_both_sides_and_do_not_heal() {
+        for status in [protocol_mismatch(7, 8), config_mismatch("7", "8")] {
+            assert!(status.message().contains('7') && status.message().contains('8'), "{status}");
+            assert_eq!(status.code(), Code::FailedPrecondition);
+            assert!(!reason(&status).unwrap().heals());
+        }
+    }
+
+    #[test]
+    fn a_foreign_status_has_no_reason() {
+        assert_eq!(reason(&Status::internal("x")), None);
+        let details = ErrorDetails::with_error_info("DRAINING", "elsewhere.example", HashMap::new());
+        assert_eq!(reason(&Status::with_error_details(Code::Aborted, "x", details)), None);
+        assert!(violations(&Status::internal("x")).is_empty());
+    }
+
+    #[test]
+    fn a_long_quotation_is_cut_at_a_character() {
+        let status = checkpoint_not_found(&"ä".repeat(100_000));
+        assert!(status.message().len() < 2 * MAX_MESSAGE, "{}", status.message().len());
+        assert_eq!(transmitted(&status).message(), status.message());
+    }
+}

@@ -82,13 +82,19 @@ impl Assembler {
             self.total = total;
             self.received = Vec::with_capacity(total);
         }
-        if message.policy_version != self.policy_version || total != self.total {
+        if message.policy_version != self.policy_version {
             return Err(Violation::new(
                 "policy_version",
                 format!(
                     "changed from {} to {} within a snapshot",
                     self.policy_version, message.policy_version
                 ),
+            ));
+        }
+        if total != self.total {
+            return Err(Violation::new(
+                "total_bytes",
+                format!("changed from {} to {total} within a snapshot", self.total),
             ));
         }
         if message.offset != self.received.len() as u64 {
@@ -112,5 +118,87 @@ impl Assembler {
         }
         let bytes = Bytes::from(std::mem::take(&mut self.received));
         Ok(Some(Snapshot { policy_version: self.policy_version, bytes }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MAX: usize = 4 * CHUNK_BYTES;
+
+    fn snapshot(policy_version: u64, size: usize) -> Snapshot {
+        Snapshot { policy_version, bytes: (0..size).map(|index| (index % 251) as u8).collect() }
+    }
+
+    fn assemble(assembler: &mut Assembler, messages: &[WatchWeightsResponse]) -> Option<Snapshot> {
+        let mut complete =
+            messages.iter().map(|message| assembler.push(message).unwrap()).collect::<Vec<_>>();
+        let last = complete.pop().flatten();
+        assert!(complete.iter().all(Option::is_none), "complete before the last chunk");
+        last
+    }
+
+    #[test]
+    fn snapshots_of_every_size_come_together_again() {
+        let mut assembler = Assembler::new(MAX);
+        for size in [0, 1, CHUNK_BYTES - 1, CHUNK_BYTES, CHUNK_BYTES + 1, 3 * CHUNK_BYTES, MAX] {
+            let original = snapshot(size as u64, size);
+            let messages = split(&original);
+            assert!(messages.iter().all(|message| message.chunk.len() <= CHUNK_BYTES));
+            assert_eq!(assemble(&mut assembler, &messages), Some(original));
+        }
+    }
+
+    #[test]
+    fn chunks_share_the_snapshot() {
+        let original = snapshot(1, 3 * CHUNK_BYTES);
+        let messages = split(&original);
+        assert_eq!(messages[1].chunk.as_ptr(), original.bytes[CHUNK_BYTES..].as_ptr());
+    }
+
+    #[test]
+    fn a_new_snapshot_may_start_before_the_old_one_ends() {
+        let mut assembler = Assembler::new(MAX);
+        assert_eq!(assembler.push(&split(&snapshot(1, MAX))[0]), Ok(None));
+        let newer = snapshot(2, 10);
+        assert_eq!(assembler.push(&split(&newer)[0]), Ok(Some(newer)));
+    }
+
+    #[test]
+    fn damage_is_named_and_the_next_snapshot_still_comes() {
+        let original = snapshot(1, 2 * CHUNK_BYTES);
+        let messages = split(&original);
+        let refused = |change: fn(&mut WatchWeightsResponse)| {
+            let mut assembler = Assembler::new(MAX);
+            assembler.push(&messages[0]).unwrap();
+            let mut second = messages[1].clone();
+            change(&mut second);
+            let field = assembler.push(&second).unwrap_err().field;
+            assert_eq!(assemble(&mut assembler, &messages), Some(original.clone()));
+            field
+        };
+        assert_eq!(refused(|message| message.offset += 1), "offset");
+        assert_eq!(refused(|message| message.policy_version += 1), "policy_version");
+        assert_eq!(refused(|message| message.total_bytes += 1), "total_bytes");
+        assert_eq!(refused(|message| message.chunk = vec![0; CHUNK_BYTES + 1].into()), "chunk");
+        assert_eq!(refused(|message| message.chunk = vec![0; CHUNK_BYTES].into()), "sha256");
+        assert_eq!(refused(|message| message.sha256 = Bytes::new()), "sha256");
+    }
+
+    #[test]
+    fn a_snapshot_above_the_limit_takes_no_memory() {
+        let mut assembler = Assembler::new(MAX);
+        let mut message = split(&snapshot(1, 1))[0].clone();
+        for total in [MAX as u64 + 1, u64::MAX] {
+            message.total_bytes = total;
+            assert_eq!(assembler.push(&message).unwrap_err().field, "total_bytes");
+        }
+    }
+
+    #[test]
+    fn a_lost_beginning_is_noticed() {
+        let messages = split(&snapshot(0, 2 * CHUNK_BYTES));
+        assert!(Assembler::new(MAX).push(&messages[1]).is_err());
     }
 }

@@ -3,6 +3,8 @@
 //! After a change of the schema, rewrite it with
 //! `CROSS_REGENERATE=1 cargo test --release -p cross-proto --test bootstrap`.
 
+#![expect(clippy::unwrap_used, reason = "a test's helpers fail the test")]
+
 use prost::Message as _;
 use std::collections::BTreeMap;
 use std::path::Path;
