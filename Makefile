@@ -1,0 +1,56 @@
+# Everything a person does with this checkout. `make help` lists it.
+#
+# Set-up (SUMO, libtorch, maps) is scripts/setup.py and goes to .deps/; the build goes to target/, runs to runs/.
+
+PYTHON ?= python3
+CARGO ?= cargo
+ARGS ?=
+
+TARGET := $(or $(CARGO_TARGET_DIR),target)
+# The set-up decides here whether a LIBTORCH or SUMO_HOME of the user's fits, and unsets it if not.
+IN_ENV := . .deps/environment.sh &&
+
+.DEFAULT_GOAL := help
+.PHONY: help setup build train test test-setup verify fix clean distclean
+
+help: ## Show this list
+	@echo 'Two commands:  make train   and   make test'
+	@echo
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1|\2/p' Makefile | awk -F'|' '{ printf "%-18s %s\n", $$1, $$2 }'
+	@echo
+	@echo '  ARGS="..."         options passed on by train, as in: make train ARGS="--updates 500 --scenario grid4x4"'
+	@echo '  CROSS_TORCH=cuda   set up libtorch with its CUDA libraries instead of the CPU ones'
+	@echo '  CROSS_CACHE=DIR    keep downloaded wheels in DIR, for other checkouts'
+
+setup: ## Fetch SUMO, libtorch and the RESCO maps into .deps/ (only what is missing)
+	@command -v $(PYTHON) >/dev/null || { echo 'error: $(PYTHON) was not found: install Python 3.9 or newer, or name it with make PYTHON=...' >&2; exit 1; }
+	@CARGO='$(CARGO)' $(PYTHON) scripts/setup.py
+
+build: setup ## Set up and build the binaries in release: target/release/cross, cross-learner, cross-actor
+	@$(IN_ENV) $(CARGO) build --release --workspace --bins
+
+train: build ## Train CROSS on real SUMO, then compare it with Fixed-Time and Max-Pressure
+	@$(IN_ENV) $(TARGET)/release/cross train $(ARGS)
+
+test: build test-setup ## Every test: set-up, units, and whole clusters with real SUMO
+	@$(IN_ENV) $(CARGO) test --release --workspace
+
+test-setup: setup ## The tests of the set-up alone (quick)
+	@$(PYTHON) -B -m unittest discover --quiet --buffer --start-directory scripts/tests --top-level-directory scripts
+
+verify: setup ## Formatting, lints, documentation, licences; writes nothing outside target/
+	$(CARGO) fmt --all --check
+	@$(IN_ENV) $(CARGO) clippy --locked --release --workspace --all-targets -- -D warnings
+	@$(IN_ENV) RUSTDOCFLAGS='-D warnings' $(CARGO) doc --locked --release --workspace --no-deps
+	@if $(CARGO) deny --version >/dev/null 2>&1; then $(CARGO) deny --all-features check bans licenses sources; \
+	else echo 'skipped: licences and sources of the dependencies; to check them: cargo install --locked cargo-deny'; fi
+
+fix: setup ## Format, and let clippy repair what it can
+	$(CARGO) fmt --all
+	@$(IN_ENV) $(CARGO) clippy --release --workspace --all-targets --fix --allow-dirty --allow-staged
+
+clean: ## Remove what the build made (target/)
+	$(CARGO) clean
+
+distclean: clean ## Remove the set-up too (.deps/); runs/ stays
+	rm -rf .deps
