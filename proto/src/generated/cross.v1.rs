@@ -137,17 +137,20 @@ pub struct Fragment {
     /// Numbered over the whole run by the learner.
     #[prost(uint64, tag = "3")]
     pub episode: u64,
-    /// Position in the episode, from 0 without gaps.
+    /// Position in the episode, from 0 without gaps; 0 exactly if first_step is 0.
     #[prost(uint32, tag = "4")]
     pub sequence: u32,
     #[prost(string, tag = "5")]
     pub scenario: ::prost::alloc::string::String,
     #[prost(string, tag = "6")]
     pub layout_hash: ::prost::alloc::string::String,
+    /// Version of the behaviour policy.
     #[prost(uint64, tag = "7")]
     pub policy_version: u64,
+    /// Step of the episode at which it starts, from 0.
     #[prost(uint32, tag = "8")]
     pub first_step: u32,
+    /// T.
     #[prost(uint32, tag = "9")]
     pub steps: u32,
     /// Vehicle counts \[T+1, C\], packed: see cross_proto::packing.
@@ -421,7 +424,8 @@ pub mod learner_client {
             self
         }
         /// Admits an actor and tells it all it needs to start. FAILED_PRECONDITION with reason PROTOCOL_MISMATCH,
-        /// CONFIG_MISMATCH or DRAINING when it cannot be admitted; RESOURCE_EXHAUSTED when the actor limit is reached.
+        /// CONFIG_MISMATCH, NO_SCENARIO or DRAINING when it cannot be admitted; RESOURCE_EXHAUSTED with TOO_MANY_ACTORS when
+        /// the actor limit is reached.
         /// Joining again under the same actor id ends the earlier lease.
         pub async fn join(
             &mut self,
@@ -444,7 +448,8 @@ pub mod learner_client {
         /// The trajectory stream. The actor sends fragments and episode requests, the learner acknowledgements and episode
         /// assignments. Back-pressure is the stream's own: while the buffer of a scenario is full, acknowledgements wait, and
         /// an actor keeps at most `Limits.unacked_fragments` in flight. A fragment that fails validation ends this stream with
-        /// INVALID_ARGUMENT and a BadRequest that names the field; it disturbs nothing else.
+        /// INVALID_ARGUMENT and a BadRequest that names the field; it disturbs nothing else. FAILED_PRECONDITION with reason
+        /// NOT_JOINED or OLD_SESSION asks the actor to join again.
         pub async fn stream_fragments(
             &mut self,
             request: impl tonic::IntoStreamingRequest<
@@ -512,7 +517,8 @@ pub mod learner_server {
     #[async_trait]
     pub trait Learner: std::marker::Send + std::marker::Sync + 'static {
         /// Admits an actor and tells it all it needs to start. FAILED_PRECONDITION with reason PROTOCOL_MISMATCH,
-        /// CONFIG_MISMATCH or DRAINING when it cannot be admitted; RESOURCE_EXHAUSTED when the actor limit is reached.
+        /// CONFIG_MISMATCH, NO_SCENARIO or DRAINING when it cannot be admitted; RESOURCE_EXHAUSTED with TOO_MANY_ACTORS when
+        /// the actor limit is reached.
         /// Joining again under the same actor id ends the earlier lease.
         async fn join(
             &self,
@@ -527,7 +533,8 @@ pub mod learner_server {
         /// The trajectory stream. The actor sends fragments and episode requests, the learner acknowledgements and episode
         /// assignments. Back-pressure is the stream's own: while the buffer of a scenario is full, acknowledgements wait, and
         /// an actor keeps at most `Limits.unacked_fragments` in flight. A fragment that fails validation ends this stream with
-        /// INVALID_ARGUMENT and a BadRequest that names the field; it disturbs nothing else.
+        /// INVALID_ARGUMENT and a BadRequest that names the field; it disturbs nothing else. FAILED_PRECONDITION with reason
+        /// NOT_JOINED or OLD_SESSION asks the actor to join again.
         async fn stream_fragments(
             &self,
             request: tonic::Request<tonic::Streaming<super::StreamFragmentsRequest>>,
