@@ -73,8 +73,10 @@ impl Config {
     /// # Errors
     /// [`ConfigError::Parse`] for syntax, unknown keys and wrong types, [`ConfigError::Invalid`] for values that cannot work.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, ConfigError> {
-        let config: Self = toml::from_str(text)
-            .map_err(|source| ConfigError::Parse { origin: origin.to_owned(), message: source.to_string() })?;
+        let config: Self = toml::from_str(text).map_err(|source| ConfigError::Parse {
+            origin: origin.to_owned(),
+            message: source.to_string(),
+        })?;
         config.validate()?;
         Ok(config)
     }
@@ -84,8 +86,10 @@ impl Config {
     /// # Errors
     /// As [`Config::from_toml`].
     pub fn from_json(text: &str, origin: &str) -> Result<Self, ConfigError> {
-        let config: Self = serde_json::from_str(text)
-            .map_err(|source| ConfigError::Parse { origin: origin.to_owned(), message: source.to_string() })?;
+        let config: Self = serde_json::from_str(text).map_err(|source| ConfigError::Parse {
+            origin: origin.to_owned(),
+            message: source.to_string(),
+        })?;
         config.validate()?;
         Ok(config)
     }

@@ -1,0 +1,119 @@
+//! Adam (Kingma and Ba 2015) with its moments as named tensors, so that a checkpoint resumes exactly.
+//!
+//! `tch`'s own optimisers keep their state where it cannot be read.
+
+use crate::params::Params;
+use tch::{Kind, Tensor};
+
+const BETA1: f64 = 0.9;
+const BETA2: f64 = 0.999;
+const EPSILON: f64 = 1e-8;
+
+/// State of the optimiser of one network.
+#[derive(Debug)]
+pub struct Adam {
+    /// First moments, in the parameters' order.
+    pub m: Vec<Tensor>,
+    /// Second moments, in the parameters' order.
+    pub v: Vec<Tensor>,
+    /// Steps taken.
+    pub t: u64,
+}
+
+impl Adam {
+    /// All moments zero.
+    #[must_use]
+    pub fn new(params: &Params) -> Self {
+        let zeros = || params.tensors().map(|p| p.detach().zeros_like()).collect();
+        Self { m: zeros(), v: zeros(), t: 0 }
+    }
+
+    /// One step along the gradients that `backward` left, whose norm is first cut to `max_norm`. Returns the norm before
+    /// the cut, and takes no step if that is not finite.
+    pub fn step(&mut self, params: &Params, lr: f64, max_norm: f64) -> f64 {
+        tch::no_grad(|| {
+            let norm = gradient_norm(params);
+            if !norm.is_finite() {
+                return norm;
+            }
+            let cut = (max_norm / (norm + 1e-6)).min(1.0);
+            self.t += 1;
+            let t = i32::try_from(self.t).unwrap_or(i32::MAX);
+            let size = lr / (1.0 - BETA1.powi(t));
+            let root = (1.0 - BETA2.powi(t)).sqrt();
+            for ((param, m), v) in params.tensors().zip(&mut self.m).zip(&mut self.v) {
+                let grad = param.grad();
+                if !grad.defined() {
+                    continue;
+                }
+                let grad = grad * cut;
+                let _ = m.lerp_(&grad, 1.0 - BETA1);
+                let _ = v.g_mul_scalar_(BETA2);
+                let _ = v.g_add_(&(&grad * &grad * (1.0 - BETA2)));
+                let denominator = v.sqrt() / root + EPSILON;
+                let _ = param.shallow_clone().g_sub_(&(&*m / denominator * size));
+            }
+            norm
+        })
+    }
+}
+
+/// Euclidean norm of all gradients together.
+fn gradient_norm(params: &Params) -> f64 {
+    let square: f64 = params
+        .tensors()
+        .map(Tensor::grad)
+        .filter(Tensor::defined)
+        .map(|grad| (&grad * &grad).sum(Kind::Double).double_value(&[]))
+        .sum();
+    square.sqrt()
+}
+
+/// Forgets the gradients of the last backward pass.
+pub fn zero_gradients(params: &Params) {
+    for tensor in params.tensors() {
+        let mut grad = tensor.grad();
+        if grad.defined() {
+            let _ = grad.zero_();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::params::Init;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn follows_the_published_recursion() {
+        let mut params = Params::new();
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let x = Init::new("t", &mut params, &mut rng).constant("x", &[1], 1.0);
+        let mut adam = Adam::new(&params);
+        let (mut value, mut m, mut v) = (1.0f64, 0.0f64, 0.0f64);
+        for t in 1..=5 {
+            zero_gradients(&params);
+            (&x * &x).sum(Kind::Float).backward();
+            let norm = adam.step(&params, 0.1, 1e9);
+            let gradient = 2.0 * value;
+            assert!((norm - gradient.abs()).abs() < 1e-4);
+            m = 0.9 * m + 0.1 * gradient;
+            v = 0.999 * v + 0.001 * gradient * gradient;
+            value -= 0.1 * (m / (1.0 - 0.9f64.powi(t))) / ((v / (1.0 - 0.999f64.powi(t))).sqrt() + 1e-8);
+            assert!((x.double_value(&[0]) - value).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn a_gradient_that_is_not_a_number_changes_nothing() {
+        let mut params = Params::new();
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let x = Init::new("t", &mut params, &mut rng).constant("x", &[1], 1.0);
+        let mut adam = Adam::new(&params);
+        (&x * f64::NAN).sum(Kind::Float).backward();
+        assert!(adam.step(&params, 0.1, 1.0).is_nan());
+        assert_eq!((x.double_value(&[0]), adam.t), (1.0, 0));
+    }
+}

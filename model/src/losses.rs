@@ -1,0 +1,175 @@
+//! The losses of actor and critic (paper, sections IV-B to IV-D), each term apart.
+
+use crate::batch::{Batch, Inputs};
+use crate::features::FeatureSizes;
+use crate::net::{Forward, Net};
+use cross_config::{ModelConfig, PpoConfig};
+use tch::{Kind, Tensor};
+
+/// What a minibatch should fit, in packed sample order.
+#[derive(Debug)]
+pub struct Targets {
+    /// Row of each sample's action `[samples]`.
+    pub chosen_rows: Tensor,
+    /// Behaviour log-probabilities `[samples]`.
+    pub log_probs: Tensor,
+    /// Advantages `[samples]`.
+    pub advantages: Tensor,
+    /// Value targets `[samples]`.
+    pub returns: Tensor,
+    /// Features of the next step that prediction should meet `[samples, target]`.
+    pub next: Tensor,
+    /// 1 where the next step exists inside the episode, else 0 `[samples]`.
+    pub has_next: Tensor,
+}
+
+/// One network's loss.
+#[derive(Debug)]
+pub struct Loss {
+    /// What is minimised.
+    pub total: Tensor,
+    /// Every term before its weight, by name.
+    pub terms: Vec<(&'static str, Tensor)>,
+}
+
+/// Policy diagnostics of a minibatch (CleanRL's definitions).
+#[derive(Debug, Clone, Copy, Default)]
+pub struct PolicyDiagnostics {
+    /// Mean of `(ratio - 1) - log ratio`.
+    pub approx_kl: f64,
+    /// Share of samples whose ratio left the clip range.
+    pub clip_fraction: f64,
+}
+
+/// The actor's loss; `entropy_weight` follows the schedule.
+#[must_use]
+pub fn actor(
+    net: &Net,
+    forward: &Forward,
+    batch: &Batch,
+    targets: &Targets,
+    model: &ModelConfig,
+    ppo: &PpoConfig,
+    entropy_weight: f64,
+) -> (Loss, PolicyDiagnostics) {
+    let log_probs = batch.log_softmax(&forward.scores);
+    let log_ratio = log_probs.index_select(0, &targets.chosen_rows) - &targets.log_probs;
+    let ratio = log_ratio.exp();
+    let clipped = ratio.clamp(1.0 - ppo.clip_ratio, 1.0 + ppo.clip_ratio);
+    let gain = (&ratio * &targets.advantages).minimum(&(clipped * &targets.advantages));
+    let policy = -gain.mean(Kind::Float);
+    let entropy = -(log_probs.exp() * &log_probs).sum(Kind::Float) / batch.samples() as f64;
+    let diagnostics = tch::no_grad(|| PolicyDiagnostics {
+        approx_kl: ((&ratio - 1.0) - &log_ratio).mean(Kind::Float).double_value(&[]),
+        clip_fraction: (&ratio - 1.0)
+            .abs()
+            .gt(ppo.clip_ratio)
+            .to_kind(Kind::Float)
+            .mean(Kind::Float)
+            .double_value(&[]),
+    });
+    let mut total = &policy - &entropy * entropy_weight;
+    let mut terms = vec![("policy", policy), ("entropy", entropy)];
+    add_auxiliary(net, forward, batch, targets, model, ppo, &mut total, &mut terms);
+    (Loss { total, terms }, diagnostics)
+}
+
+/// The critic's loss.
+#[must_use]
+pub fn critic(
+    net: &Net,
+    forward: &Forward,
+    batch: &Batch,
+    targets: &Targets,
+    model: &ModelConfig,
+    ppo: &PpoConfig,
+) -> Loss {
+    let error = values(batch, forward) - &targets.returns;
+    let value = (&error * &error).mean(Kind::Float);
+    let mut total = &value * ppo.value;
+    let mut terms = vec![("value", value)];
+    add_auxiliary(net, forward, batch, targets, model, ppo, &mut total, &mut terms);
+    Loss { total, terms }
+}
+
+/// Values `[samples]`: mean of the critic's scores over each junction's phases.
+#[must_use]
+pub fn values(batch: &Batch, forward: &Forward) -> Tensor {
+    batch.map_groups(&forward.scores, |own| own.squeeze_dim(2).mean_dim(1, false, Kind::Float))
+}
+
+#[allow(
+    clippy::too_many_arguments,
+    reason = "one call each from actor and critic, whose own arguments these are"
+)]
+fn add_auxiliary(
+    net: &Net,
+    forward: &Forward,
+    batch: &Batch,
+    targets: &Targets,
+    model: &ModelConfig,
+    ppo: &PpoConfig,
+    total: &mut Tensor,
+    terms: &mut Vec<(&'static str, Tensor)>,
+) {
+    let mut add = |name: &'static str, weight: f64, term: Tensor| {
+        *total = &*total + &term * weight;
+        terms.push((name, term));
+    };
+    if let Some(pcc) = &forward.pcc {
+        if let Some(predicted) = net.predict(pcc, &targets.chosen_rows) {
+            add("prediction", ppo.prediction, prediction(&predicted, batch, targets));
+        }
+        let target =
+            if model.detach_contrastive_target { pcc.weights.detach() } else { pcc.weights.shallow_clone() };
+        let log_assignment = (&pcc.similarity / model.tau_c).log_softmax(-1, Kind::Float);
+        let contrastive =
+            -(target * log_assignment).sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float);
+        add("contrastive", ppo.clustering, contrastive);
+        let mean = pcc.weights.mean_dim(0, false, Kind::Float);
+        let diversity: Tensor = 1.0 - entropy_of(&mean) / (model.clusters as f64).ln();
+        add("diversity", ppo.clustering * ppo.diversity, diversity);
+    }
+    if let Some((alpha, indices)) = &forward.moe.gates {
+        let usage = expert_usage(alpha, indices, model.experts);
+        let uniform = 1.0 / model.experts as f64;
+        let balance = (&usage * ((&usage + 1e-10) / uniform).log()).sum(Kind::Float);
+        add("load_balance", ppo.load_balance, balance);
+        let selection =
+            -(alpha * (alpha + 1e-10).log()).sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float);
+        add("selection_entropy", ppo.selection_entropy, selection);
+    }
+}
+
+/// Mean square error over real entries of samples that have a next step.
+fn prediction(predicted: &Tensor, batch: &Batch, targets: &Targets) -> Tensor {
+    let error = predicted - &targets.next;
+    let square = &error * &error;
+    let mask = match &batch.inputs {
+        Inputs::Paper(paper) => &paper.real * targets.has_next.unsqueeze(1),
+        Inputs::Movement(_) => targets.has_next.unsqueeze(1).expand_as(&square),
+    };
+    (square * &mask).sum(Kind::Float) / mask.sum(Kind::Float).clamp_min(1.0)
+}
+
+fn entropy_of(distribution: &Tensor) -> Tensor {
+    -(distribution * (distribution + 1e-10).log()).sum(Kind::Float)
+}
+
+/// Share of the gating weight that each expert received `[experts]`, sums to 1.
+#[must_use]
+pub fn expert_usage(alpha: &Tensor, indices: &Tensor, experts: i64) -> Tensor {
+    let zeros = Tensor::zeros([experts], (Kind::Float, alpha.device()));
+    let sums = zeros.index_add(0, &indices.reshape([-1]), &alpha.reshape([-1]));
+    let total = sums.sum(Kind::Float);
+    sums / total
+}
+
+/// Width of a prediction target.
+#[must_use]
+pub fn target_width(model: &ModelConfig, sizes: &FeatureSizes) -> i64 {
+    match model.gfe {
+        cross_config::Gfe::Paper => sizes.state,
+        cross_config::Gfe::Movement => sizes.pooled,
+    }
+}

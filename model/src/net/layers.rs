@@ -1,0 +1,119 @@
+//! The few layers that the modules are made of.
+
+use crate::params::Init;
+use tch::Tensor;
+
+/// `y = x Wᵀ + b`, initialised uniformly in `±gain/√inputs`.
+#[derive(Debug)]
+pub(super) struct Linear {
+    weight: Tensor,
+    bias: Tensor,
+}
+
+impl Linear {
+    pub(super) fn new(init: &mut Init<'_>, inputs: i64, outputs: i64) -> Self {
+        Self::with_gain(init, inputs, outputs, 1.0)
+    }
+
+    pub(super) fn with_gain(init: &mut Init<'_>, inputs: i64, outputs: i64, gain: f64) -> Self {
+        let bound = gain / (inputs as f64).sqrt();
+        Self {
+            weight: init.uniform("weight", &[outputs, inputs], bound),
+            bias: init.uniform("bias", &[outputs], bound),
+        }
+    }
+
+    /// `[.., inputs]` to `[.., outputs]`.
+    pub(super) fn forward(&self, x: &Tensor) -> Tensor {
+        x.linear(&self.weight, Some(&self.bias))
+    }
+}
+
+/// A linear layer without bias, for sums of several parts that share one bias.
+#[derive(Debug)]
+pub(super) struct Projection {
+    weight: Tensor,
+}
+
+impl Projection {
+    /// `fan_in` is the width of the whole concatenated input, of which this layer reads `inputs` columns.
+    pub(super) fn new(init: &mut Init<'_>, inputs: i64, outputs: i64, fan_in: i64) -> Self {
+        Self { weight: init.uniform("weight", &[outputs, inputs], 1.0 / (fan_in as f64).sqrt()) }
+    }
+
+    pub(super) fn forward(&self, x: &Tensor) -> Tensor {
+        x.linear(&self.weight, None::<&Tensor>)
+    }
+
+    /// `[outputs, inputs]`.
+    pub(super) fn weight(&self) -> &Tensor {
+        &self.weight
+    }
+}
+
+/// Linear, ReLU, linear.
+#[derive(Debug)]
+pub(super) struct Mlp {
+    first: Linear,
+    second: Linear,
+}
+
+impl Mlp {
+    pub(super) fn new(init: &mut Init<'_>, inputs: i64, hidden: i64, outputs: i64) -> Self {
+        Self {
+            first: Linear::new(&mut init.sub("0"), inputs, hidden),
+            second: Linear::new(&mut init.sub("1"), hidden, outputs),
+        }
+    }
+
+    pub(super) fn forward(&self, x: &Tensor) -> Tensor {
+        self.second.forward(&self.first.forward(x).relu())
+    }
+}
+
+/// Layer normalisation over the last dimension.
+#[derive(Debug)]
+pub(super) struct LayerNorm {
+    width: i64,
+    weight: Tensor,
+    bias: Tensor,
+}
+
+impl LayerNorm {
+    pub(super) fn new(init: &mut Init<'_>, width: i64) -> Self {
+        Self {
+            width,
+            weight: init.constant("weight", &[width], 1.0),
+            bias: init.constant("bias", &[width], 0.0),
+        }
+    }
+
+    pub(super) fn forward(&self, x: &Tensor) -> Tensor {
+        x.layer_norm([self.width], Some(&self.weight), Some(&self.bias), 1e-5, false)
+    }
+}
+
+/// One layer of gated recurrent units (PyTorch's equations and gate order: reset, update, new).
+#[derive(Debug)]
+pub(super) struct Gru {
+    weights: [Tensor; 4],
+}
+
+impl Gru {
+    pub(super) fn new(init: &mut Init<'_>, width: i64) -> Self {
+        let bound = 1.0 / (width as f64).sqrt();
+        Self {
+            weights: [
+                init.uniform("weight_ih", &[3 * width, width], bound),
+                init.uniform("weight_hh", &[3 * width, width], bound),
+                init.uniform("bias_ih", &[3 * width], bound),
+                init.uniform("bias_hh", &[3 * width], bound),
+            ],
+        }
+    }
+
+    /// `x` `[sequences, steps, width]`, `state` `[sequences, width]`; returns the state after every step.
+    pub(super) fn forward(&self, x: &Tensor, state: &Tensor) -> Tensor {
+        x.gru(&state.unsqueeze(0), &self.weights, true, 1, 0.0, false, false, true).0
+    }
+}

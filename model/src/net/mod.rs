@@ -1,0 +1,116 @@
+//! One CROSS network (paper, section IV): general feature extraction, predictive contrastive clustering, mixture of
+//! experts, head. Actor and critic are two of these with weights of their own.
+//!
+//! ```text
+//!  batch ─> Gfe ─> h_sp ──────────────┬────────> Moe ─> h_moe ─> head ─> one number per phase
+//!              └─> recurrent state    │            ^
+//!  batch ─> Pcc ─> z_hat ─────────────┴─ router ───┘
+//! ```
+
+mod gfe;
+mod layers;
+mod moe;
+mod pcc;
+
+pub use gfe::GfeOutput;
+pub use moe::MoeOutput;
+pub use pcc::PccOutput;
+
+use crate::batch::Batch;
+use crate::features::FeatureSizes;
+use crate::params::{Init, Params};
+use cross_config::ModelConfig;
+use gfe::GfeNet;
+use layers::Linear;
+use moe::Moe;
+use pcc::Pcc;
+use rand_chacha::ChaCha8Rng;
+use tch::Tensor;
+
+/// What a network is for; decides the initial scale of its head.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Role {
+    /// Chooses phases.
+    Actor,
+    /// Estimates returns.
+    Critic,
+}
+
+impl Role {
+    /// Prefix of the parameters' names.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Actor => "actor",
+            Self::Critic => "critic",
+        }
+    }
+}
+
+/// A network with its parameters.
+#[derive(Debug)]
+pub struct Net {
+    params: Params,
+    gfe: GfeNet,
+    pcc: Option<Pcc>,
+    moe: Moe,
+    head: Linear,
+}
+
+/// All that a forward pass gives.
+#[derive(Debug)]
+pub struct Forward {
+    /// One number per packed phase row `[rows]`: a logit or a value.
+    pub scores: Tensor,
+    /// Recurrent state after every step `[sequences, steps, hidden]`.
+    pub states: Tensor,
+    /// Clustering, if configured.
+    pub pcc: Option<PccOutput>,
+    /// Routing.
+    pub moe: MoeOutput,
+}
+
+impl Net {
+    /// A network with fresh weights.
+    #[must_use]
+    pub fn new(role: Role, config: &ModelConfig, sizes: &FeatureSizes, rng: &mut ChaCha8Rng) -> Self {
+        let mut params = Params::new();
+        let mut init = Init::new(role.name(), &mut params, rng);
+        let gfe = GfeNet::new(&mut init.sub("gfe"), config, sizes);
+        let pcc = config.pcc.then(|| Pcc::new(&mut init.sub("pcc"), config, sizes));
+        let context = if config.pcc { config.latent } else { 0 };
+        let moe = Moe::new(&mut init.sub("moe"), config, context);
+        // A small policy head starts near the uniform policy, which explores.
+        let gain = if role == Role::Actor { 0.01 } else { 1.0 };
+        let head = Linear::with_gain(&mut init.sub("head"), config.hidden, 1, gain);
+        Self { params, gfe, pcc, moe, head }
+    }
+
+    /// Names and tensors of its weights.
+    #[must_use]
+    pub fn params(&self) -> &Params {
+        &self.params
+    }
+
+    /// The whole pass. `state` is the recurrent state at the start of each sequence `[sequences, hidden]`.
+    #[must_use]
+    pub fn forward(&self, batch: &Batch, state: &Tensor) -> Forward {
+        let gfe = self.gfe.forward(batch, state);
+        let pcc = self.pcc.as_ref().map(|pcc| pcc.forward(batch));
+        let moe = self.moe.forward(&gfe.h_sp, pcc.as_ref().map(|p| &p.z_hat));
+        let scores = self.head.forward(&moe.h_moe).squeeze_dim(1);
+        Forward { scores, states: gfe.states, pcc, moe }
+    }
+
+    /// The recurrent path alone: state after every step `[sequences, steps, hidden]`.
+    #[must_use]
+    pub fn advance(&self, batch: &Batch, state: &Tensor) -> Tensor {
+        self.gfe.recurrent(batch, state).states
+    }
+
+    /// The linear prediction `[samples, target]` of the next step's features from the chosen phases' latents.
+    #[must_use]
+    pub fn predict(&self, pcc: &PccOutput, chosen_rows: &Tensor) -> Option<Tensor> {
+        self.pcc.as_ref().map(|module| module.predict(pcc, chosen_rows))
+    }
+}
