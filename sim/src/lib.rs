@@ -6,10 +6,12 @@
 //!                                                              └── observe
 //! ```
 
+pub mod controller;
 pub mod env;
 pub mod error;
 pub mod lanes;
 pub mod layout;
+pub mod metrics;
 pub mod net;
 pub mod scenario;
 pub mod signal;
