@@ -26,6 +26,8 @@ def libtorch(environment, flavour):
     def refuse(why):
         return Found("libtorch", "LIBTORCH", remark=f"LIBTORCH={value} is not used: {why}")
 
+    if not root.is_absolute():
+        return refuse("it is not an absolute path")
     if not (root / "lib" / "libtorch_cpu.so").exists() and not (root / "lib" / "libtorch_cpu.dylib").exists():
         return refuse("it has no lib/libtorch_cpu.so")
     if not (root / "include" / "torch" / "csrc" / "api" / "include" / "torch" / "torch.h").exists():

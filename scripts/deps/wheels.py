@@ -15,10 +15,10 @@ from pathlib import Path
 
 from .machine import SetupError, architecture
 
-# The tags of the wheels that we use, newest first; pip is told them so that it does not matter which
-# Python runs the set-up.
+# The wheels that we use are made for this Python, or for none, and for a glibc up to 2.28; pip is told so, and it
+# does not matter which Python runs the set-up.
 PYTHON = "3.12"
-GLIBC = ("manylinux_2_28", "manylinux_2_27", "manylinux_2_26", "manylinux_2_25", "manylinux_2_24", "manylinux_2_17", "manylinux2014")
+GLIBC = (*(f"manylinux_2_{minor}" for minor in range(28, 4, -1)), "manylinux2014", "manylinux2010")
 WORK_PREFIX = ".tmp-"
 
 
@@ -90,7 +90,11 @@ def pip_download(folder, requirements, with_dependencies):
     for glibc in GLIBC:
         command += ["--platform", f"{glibc}_{architecture()}"]
     command += [] if with_dependencies else ["--no-deps"]
-    ended = subprocess.run(command + requirements, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
+    # pip collects a file in TMPDIR first; there, too, an interrupted run shall leave nothing that nobody removes.
+    environment = {**os.environ, "TMPDIR": str(folder)}
+    ended = subprocess.run(
+        command + requirements, env=environment, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, stdout=subprocess.PIPE
+    )
     if ended.returncode != 0:
         text = (ended.stderr or ended.stdout).decode("utf-8", "replace").strip()
         why = next((line for line in reversed(text.splitlines()) if line.startswith("ERROR")), text or f"exit code {ended.returncode}")
