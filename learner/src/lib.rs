@@ -1,1 +1,2 @@
-//! See Cargo.toml's description; being written.
+//! The learner.
+pub mod admission;
