@@ -1,0 +1,533 @@
+//! The client: typed calls, one message each, a deadline on every one.
+
+use crate::batch::{Batch, Replies};
+use crate::codec::{DecodeError, Reader, Writer};
+use crate::connection::{Connection, Fault};
+use crate::constants::{API_VERSION, Domain, OLDEST_API_VERSION, any, command, simulation};
+use crate::error::{ErrorKind, Evidence, TraciError};
+use crate::reply::{self, Answer, describe, describe_message};
+use crate::subscription::{Subscription, SubscriptionResults};
+use crate::sumo::Process;
+use crate::value::{Argument, Value};
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// How long a SUMO whose connection broke may take to end, before the error is made without its exit code.
+const EXIT_PATIENCE: Duration = Duration::from_secs(2);
+
+/// What a connection has carried so far.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Statistics {
+    /// Messages sent, each of one or more commands.
+    pub messages: u64,
+    /// Commands sent.
+    pub commands: u64,
+    /// Bytes sent.
+    pub bytes_sent: u64,
+    /// Bytes received.
+    pub bytes_received: u64,
+    /// Time from sending a `simulationStep` to having its whole answer: SUMO's work, almost all of it.
+    pub stepping: Duration,
+    /// The same for all other messages.
+    pub other: Duration,
+}
+
+/// A connection to one SUMO. Calls block the calling thread: keep it off an async runtime's workers.
+#[derive(Debug)]
+pub struct Client {
+    connection: Connection,
+    /// The message being written, its length first. Reused.
+    sent: Vec<u8>,
+    /// Where its commands start.
+    starts: Vec<usize>,
+    answers: Vec<Answer>,
+    timeout: Duration,
+    process: Option<Arc<Process>>,
+    version: (u32, String),
+    failed: Option<(ErrorKind, String)>,
+    closed: bool,
+    statistics: Statistics,
+}
+
+impl Client {
+    /// Connects to a SUMO that somebody else started with `--remote-port`, and checks its version. `timeout` is the
+    /// deadline for that and for every later call.
+    ///
+    /// # Errors
+    /// [`TraciError::Crashed`] if nothing listens there, [`TraciError::Version`], [`TraciError::Timeout`].
+    pub fn connect(address: SocketAddr, timeout: Duration) -> Result<Self, TraciError> {
+        Self::attach(address, timeout, timeout, None)
+    }
+
+    /// As [`connect`](Self::connect), with the process that errors are to tell of, and the time for the handshake,
+    /// which SUMO answers only when it has loaded everything.
+    pub(crate) fn attach(
+        address: SocketAddr,
+        handshake: Duration,
+        timeout: Duration,
+        process: Option<Arc<Process>>,
+    ) -> Result<Self, TraciError> {
+        let begun = Instant::now();
+        let command = format!("connecting to {address}");
+        let connection = Connection::connect(address, handshake).map_err(|error| {
+            let evidence = gather(process.as_ref(), true);
+            if matches!(error.kind(), std::io::ErrorKind::TimedOut | std::io::ErrorKind::WouldBlock) {
+                TraciError::Timeout { command, after: handshake, evidence }
+            } else {
+                TraciError::Crashed { command, detail: error.to_string(), evidence }
+            }
+        })?;
+        let mut client = Self {
+            connection,
+            sent: Vec::new(),
+            starts: Vec::new(),
+            answers: Vec::new(),
+            timeout: handshake.saturating_sub(begun.elapsed()),
+            process,
+            version: (0, String::new()),
+            failed: None,
+            closed: false,
+            statistics: Statistics::default(),
+        };
+        client.handshake()?;
+        client.timeout = timeout;
+        Ok(client)
+    }
+
+    fn handshake(&mut self) -> Result<(), TraciError> {
+        let (api, identifier) = self.request_version()?;
+        if !(OLDEST_API_VERSION..=API_VERSION).contains(&api) {
+            self.connection.shutdown();
+            let error = TraciError::Version {
+                found: api,
+                identifier,
+                oldest: OLDEST_API_VERSION,
+                newest: API_VERSION,
+            };
+            return Err(self.fail(error));
+        }
+        self.version = (api.unsigned_abs(), identifier);
+        Ok(())
+    }
+
+    fn request_version(&mut self) -> Result<(i32, String), TraciError> {
+        self.begin();
+        self.push(command::GET_VERSION, |_| {});
+        self.run()?;
+        let read = match self.answers.first() {
+            Some(Answer::Version(range)) => {
+                let mut reader = Reader::new(&self.connection.body()[range.clone()]);
+                reader.i32().and_then(|api| Ok((api, reader.str()?.to_owned())))
+            }
+            _ => Err(DecodeError::Type { expected: "a version", found: "none" }),
+        };
+        read.map_err(|source| self.protocol(source))
+    }
+
+    /// SUMO's TraCI API version and its name with its version, such as `(22, "SUMO 1.28.0")`.
+    pub fn version(&self) -> (u32, &str) {
+        (self.version.0, &self.version.1)
+    }
+
+    /// The deadline of every call.
+    pub fn timeout(&self) -> Duration {
+        self.timeout
+    }
+
+    /// Changes the deadline of every later call.
+    pub fn set_timeout(&mut self, timeout: Duration) {
+        self.timeout = timeout;
+    }
+
+    /// What this connection has carried so far.
+    pub fn statistics(&self) -> Statistics {
+        self.statistics
+    }
+
+    /// Simulates until `to` seconds, in one command however many steps that are, and brings what is subscribed, as of
+    /// then. Zero makes one step; a time that has passed makes none and brings the last results again.
+    ///
+    /// # Errors
+    /// [`TraciError::Refused`] for a time that is no number; any other error ends the connection.
+    pub fn simulation_step(&mut self, to: f64) -> Result<SubscriptionResults<'_>, TraciError> {
+        self.begin();
+        self.push(command::SIMULATION_STEP, |w| {
+            w.f64(to);
+        });
+        if !to.is_finite() {
+            return Err(TraciError::Refused {
+                command: describe_message(&self.sent, &self.starts),
+                message: "the time to simulate to must be a finite number of seconds".to_owned(),
+                refused: 1,
+                sent: 1,
+            });
+        }
+        self.run()?;
+        Ok(self.subscriptions())
+    }
+
+    /// The results of the last [`simulation_step`](Self::simulation_step), if nothing was called since.
+    pub fn subscriptions(&self) -> SubscriptionResults<'_> {
+        match self.answers.first() {
+            Some(Answer::Step(count, range)) => {
+                SubscriptionResults::checked(*count, &self.connection.body()[range.clone()])
+            }
+            _ => SubscriptionResults::default(),
+        }
+    }
+
+    /// Begins a message of several commands.
+    pub fn batch(&mut self) -> Batch<'_> {
+        Batch::new(self)
+    }
+
+    /// Sets the signal of every link of a traffic light, as `rRyYgGsuoO`. For several lights use
+    /// [`batch`](Self::batch).
+    ///
+    /// # Errors
+    /// [`TraciError::Refused`] for an unknown light or a state of the wrong length; others end the connection.
+    pub fn set_traffic_light_state(&mut self, id: &str, state: &str) -> Result<(), TraciError> {
+        let mut batch = self.batch();
+        batch.set_traffic_light_state(id, state);
+        batch.send().map(drop)
+    }
+
+    /// Sets a variable.
+    ///
+    /// # Errors
+    /// [`TraciError::Refused`] with SUMO's message; others end the connection. So for all the calls below.
+    pub fn set(
+        &mut self,
+        domain: Domain,
+        variable: u8,
+        object: &str,
+        value: Argument<'_>,
+    ) -> Result<(), TraciError> {
+        let mut batch = self.batch();
+        batch.set(domain, variable, object, value);
+        batch.send().map(drop)
+    }
+
+    /// Subscribes to variables of one object, and gives their values as of now.
+    ///
+    /// # Errors
+    /// As [`set`](Self::set).
+    pub fn subscribe(
+        &mut self,
+        domain: Domain,
+        object: &str,
+        variables: &[u8],
+    ) -> Result<Subscription<'_>, TraciError> {
+        let mut batch = self.batch();
+        batch.subscribe(domain, object, variables);
+        batch.send()?.subscription(0)
+    }
+
+    /// Subscribes to variables of all objects of the domain `of` within `range` metres of one object, and gives their
+    /// values as of now. One subscription with a range larger than the network is the cheapest way to see every vehicle.
+    ///
+    /// # Errors
+    /// As [`set`](Self::set).
+    pub fn subscribe_context(
+        &mut self,
+        domain: Domain,
+        object: &str,
+        range: f64,
+        of: Domain,
+        variables: &[u8],
+    ) -> Result<Subscription<'_>, TraciError> {
+        let mut batch = self.batch();
+        batch.subscribe_context(domain, object, range, of, variables);
+        batch.send()?.subscription(0)
+    }
+
+    /// Ends a variable subscription.
+    ///
+    /// # Errors
+    /// As [`set`](Self::set).
+    pub fn unsubscribe(&mut self, domain: Domain, object: &str) -> Result<(), TraciError> {
+        let mut batch = self.batch();
+        batch.subscribe(domain, object, &[]);
+        batch.send().map(drop)
+    }
+
+    /// Ends all context subscriptions around one object.
+    ///
+    /// # Errors
+    /// As [`set`](Self::set).
+    pub fn unsubscribe_context(&mut self, domain: Domain, object: &str) -> Result<(), TraciError> {
+        let mut batch = self.batch();
+        batch.subscribe_context(domain, object, 0.0, domain, &[]);
+        batch.send().map(drop)
+    }
+
+    /// Reads a variable.
+    ///
+    /// # Errors
+    /// As [`set`](Self::set).
+    pub fn get(&mut self, domain: Domain, variable: u8, object: &str) -> Result<Value<'_>, TraciError> {
+        self.get_with(domain, variable, object, &[])
+    }
+
+    /// Reads a variable that needs parameters.
+    ///
+    /// # Errors
+    /// As [`set`](Self::set).
+    pub fn get_with(
+        &mut self,
+        domain: Domain,
+        variable: u8,
+        object: &str,
+        parameters: &[Argument<'_>],
+    ) -> Result<Value<'_>, TraciError> {
+        let mut batch = self.batch();
+        batch.get_with(domain, variable, object, parameters);
+        batch.send()?.value(0)
+    }
+
+    /// Reads a real number.
+    ///
+    /// # Errors
+    /// As [`set`](Self::set), and [`TraciError::Protocol`] if the variable is something else; so for those below.
+    pub fn get_double(&mut self, domain: Domain, variable: u8, object: &str) -> Result<f64, TraciError> {
+        self.read(domain, variable, object, |value| value.double())
+    }
+
+    /// Reads an integer.
+    ///
+    /// # Errors
+    /// As [`get_double`](Self::get_double).
+    pub fn get_int(&mut self, domain: Domain, variable: u8, object: &str) -> Result<i32, TraciError> {
+        self.read(domain, variable, object, |value| value.int())
+    }
+
+    /// Reads a text.
+    ///
+    /// # Errors
+    /// As [`get_double`](Self::get_double).
+    pub fn get_string(&mut self, domain: Domain, variable: u8, object: &str) -> Result<String, TraciError> {
+        self.read(domain, variable, object, |value| Ok(value.str()?.to_owned()))
+    }
+
+    /// Reads a list of texts.
+    ///
+    /// # Errors
+    /// As [`get_double`](Self::get_double).
+    pub fn get_strings(
+        &mut self,
+        domain: Domain,
+        variable: u8,
+        object: &str,
+    ) -> Result<Vec<String>, TraciError> {
+        self.read(domain, variable, object, |value| Ok(value.strings()?.iter().map(str::to_owned).collect()))
+    }
+
+    /// Reads a position, metres.
+    ///
+    /// # Errors
+    /// As [`get_double`](Self::get_double).
+    pub fn get_position(
+        &mut self,
+        domain: Domain,
+        variable: u8,
+        object: &str,
+    ) -> Result<(f64, f64), TraciError> {
+        self.read(domain, variable, object, |value| value.position())
+    }
+
+    fn read<T>(
+        &mut self,
+        domain: Domain,
+        variable: u8,
+        object: &str,
+        convert: impl FnOnce(&Value<'_>) -> Result<T, DecodeError>,
+    ) -> Result<T, TraciError> {
+        let mut batch = self.batch();
+        batch.get(domain, variable, object);
+        let replies = batch.send()?;
+        convert(&replies.value(0)?).map_err(|source| replies.error(0, source))
+    }
+
+    /// Ids of all objects of a domain.
+    ///
+    /// # Errors
+    /// As [`get_double`](Self::get_double).
+    pub fn ids(&mut self, domain: Domain) -> Result<Vec<String>, TraciError> {
+        self.get_strings(domain, any::ID_LIST, "")
+    }
+
+    /// Simulated time, seconds.
+    ///
+    /// # Errors
+    /// As [`get_double`](Self::get_double).
+    pub fn time(&mut self) -> Result<f64, TraciError> {
+        self.get_double(Domain::Simulation, simulation::TIME, "")
+    }
+
+    /// Vehicles and persons running or still to come; zero means that nothing more will happen.
+    ///
+    /// # Errors
+    /// As [`get_double`](Self::get_double).
+    pub fn min_expected(&mut self) -> Result<i32, TraciError> {
+        self.get_int(Domain::Simulation, simulation::MIN_EXPECTED_NUMBER, "")
+    }
+
+    /// Sets this client's place among several of one SUMO, lowest first. Needed only with `--num-clients` above one.
+    ///
+    /// # Errors
+    /// [`TraciError::Refused`] if the place is taken.
+    pub fn set_order(&mut self, order: i32) -> Result<(), TraciError> {
+        self.begin();
+        self.push(command::SET_ORDER, |w| {
+            w.i32(order);
+        });
+        self.run()
+    }
+
+    /// Replaces the simulation by another with these SUMO arguments (without `--remote-port`), and waits until it is
+    /// loaded. Subscriptions end. SUMO's memory grows a little with each load: a new process does not.
+    ///
+    /// # Errors
+    /// [`TraciError::Crashed`], with what SUMO printed, if it cannot be loaded: SUMO ends then.
+    pub fn load(&mut self, arguments: &[&str]) -> Result<(), TraciError> {
+        self.begin();
+        self.push(command::LOAD, |w| Argument::StrList(arguments).write(w));
+        self.run()?;
+        // SUMO agrees before it reads a single file; this is answered only when everything is loaded.
+        self.request_version().map(drop)
+    }
+
+    /// Ends the connection, whereupon SUMO writes its outputs and ends. A second time does nothing.
+    ///
+    /// # Errors
+    /// As every call; the connection is ended in any case.
+    pub fn close(&mut self) -> Result<(), TraciError> {
+        if self.closed {
+            return Ok(());
+        }
+        if self.failed.is_some() {
+            self.closed = true;
+            return Ok(());
+        }
+        self.begin();
+        self.push(command::CLOSE, |_| {});
+        let outcome = self.run();
+        self.closed = true;
+        self.connection.shutdown();
+        outcome
+    }
+
+    /// Forgets the last message.
+    pub(crate) fn begin(&mut self) {
+        self.sent.clear();
+        self.sent.extend([0; 4]);
+        self.starts.clear();
+        self.answers.clear();
+    }
+
+    /// Adds a command to the message.
+    pub(crate) fn push(&mut self, id: u8, body: impl FnOnce(&mut Writer<'_>)) {
+        self.starts.push(self.sent.len());
+        Writer::new(&mut self.sent).command(id, body);
+    }
+
+    /// Number of commands in the message.
+    pub(crate) fn commands(&self) -> usize {
+        self.starts.len()
+    }
+
+    /// The answers to the last message.
+    pub(crate) fn replies(&self) -> Replies<'_> {
+        Replies {
+            answers: &self.answers,
+            body: self.connection.body(),
+            sent: &self.sent,
+            starts: &self.starts,
+        }
+    }
+
+    /// Sends the message and reads the answers.
+    pub(crate) fn run(&mut self) -> Result<(), TraciError> {
+        if self.closed || self.failed.is_some() {
+            let (kind, earlier) =
+                self.failed.clone().unwrap_or((ErrorKind::Refused, "it was closed".to_owned()));
+            let command = describe_message(&self.sent, &self.starts);
+            return Err(TraciError::Unusable { command, kind, earlier });
+        }
+        let begun = Instant::now();
+        let outcome = self.connection.exchange(&mut self.sent, self.timeout);
+        let took = begun.elapsed();
+        self.count(took);
+        outcome.map_err(|fault| self.fault(fault))?;
+        reply::read(&self.sent, &self.starts, self.connection.body(), &mut self.answers)
+            .map_err(|source| self.protocol(source))?;
+        self.refusals()
+    }
+
+    fn count(&mut self, took: Duration) {
+        let is_step = self.is_step();
+        let statistics = &mut self.statistics;
+        statistics.messages += 1;
+        statistics.commands += self.starts.len() as u64;
+        statistics.bytes_sent += self.sent.len() as u64;
+        statistics.bytes_received += self.connection.body().len() as u64 + 4;
+        if is_step {
+            statistics.stepping += took;
+        } else {
+            statistics.other += took;
+        }
+    }
+
+    /// Whether the message is a `simulationStep`: one command of ten bytes, its id behind its length.
+    fn is_step(&self) -> bool {
+        self.sent.get(4..6) == Some(&[10, command::SIMULATION_STEP])
+    }
+
+    fn refusals(&self) -> Result<(), TraciError> {
+        let refused = || {
+            self.answers.iter().enumerate().filter_map(|(index, answer)| match answer {
+                Answer::Refused(range) => Some((index, range)),
+                _ => None,
+            })
+        };
+        let Some((index, range)) = refused().next() else { return Ok(()) };
+        Err(TraciError::Refused {
+            command: describe(&self.sent[self.starts[index]..]),
+            message: String::from_utf8_lossy(&self.connection.body()[range.clone()]).into_owned(),
+            refused: refused().count(),
+            sent: self.starts.len(),
+        })
+    }
+
+    fn fault(&mut self, fault: Fault) -> TraciError {
+        let command = describe_message(&self.sent, &self.starts);
+        let process = self.process.as_ref();
+        let error = match fault {
+            Fault::Closed(detail) => TraciError::Crashed { command, detail, evidence: gather(process, true) },
+            Fault::Timeout => {
+                TraciError::Timeout { command, after: self.timeout, evidence: gather(process, false) }
+            }
+            Fault::Protocol(source) => {
+                TraciError::Protocol { command, source, evidence: gather(process, false) }
+            }
+        };
+        self.fail(error)
+    }
+
+    fn protocol(&mut self, source: DecodeError) -> TraciError {
+        self.fault(Fault::Protocol(source))
+    }
+
+    /// Remembers that commands and answers are out of step from here on.
+    fn fail(&mut self, error: TraciError) -> TraciError {
+        self.connection.shutdown();
+        self.failed = Some((error.kind(), error.to_string()));
+        error
+    }
+}
+
+fn gather(process: Option<&Arc<Process>>, ending: bool) -> Box<Evidence> {
+    let patience = if ending { EXIT_PATIENCE } else { Duration::ZERO };
+    Box::new(process.map(|process| process.evidence(patience)).unwrap_or_default())
+}

@@ -1,0 +1,288 @@
+//! Starting SUMO and connecting to it.
+
+use super::SumoHome;
+use super::listening::listens;
+use super::port::PortReservation;
+use super::process::Process;
+use crate::client::Client;
+use crate::error::{Evidence, TraciError};
+use std::ffi::{OsStr, OsString};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitStatus};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Ports tried before a start is given up.
+const ATTEMPTS: usize = 5;
+
+/// Plain SUMO arguments. [`Sumo::start`] adds `--remote-port`, `--num-clients 1` and, unless it is given,
+/// `--no-step-log true`, since nobody reads the progress that SUMO prints each step.
+#[derive(Debug, Clone, Default)]
+pub struct SumoCommand {
+    args: Vec<OsString>,
+    directory: Option<PathBuf>,
+}
+
+impl SumoCommand {
+    /// No arguments yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds an argument.
+    #[must_use]
+    pub fn arg(mut self, arg: impl AsRef<OsStr>) -> Self {
+        self.args.push(arg.as_ref().to_owned());
+        self
+    }
+
+    /// Adds arguments.
+    #[must_use]
+    pub fn args<A: AsRef<OsStr>>(mut self, args: impl IntoIterator<Item = A>) -> Self {
+        self.args.extend(args.into_iter().map(|arg| arg.as_ref().to_owned()));
+        self
+    }
+
+    /// Adds an option and its value.
+    #[must_use]
+    pub fn option(self, name: impl AsRef<OsStr>, value: impl AsRef<OsStr>) -> Self {
+        self.arg(name).arg(value)
+    }
+
+    /// Starts SUMO in this directory rather than in the owner's.
+    #[must_use]
+    pub fn current_dir(mut self, directory: impl AsRef<Path>) -> Self {
+        self.directory = Some(directory.as_ref().to_owned());
+        self
+    }
+
+    /// The arguments so far.
+    pub fn arguments(&self) -> &[OsString] {
+        &self.args
+    }
+
+    fn has(&self, option: &str) -> bool {
+        self.args
+            .iter()
+            .filter_map(|arg| arg.to_str())
+            .any(|arg| arg.strip_prefix(option).is_some_and(|rest| rest.is_empty() || rest.starts_with('=')))
+    }
+
+    fn command(&self, home: &SumoHome, port: u16) -> Command {
+        let mut command = Command::new(home.binary("sumo"));
+        command.args(&self.args);
+        command.arg("--remote-port").arg(port.to_string()).args(["--num-clients", "1"]);
+        if !self.has("--no-step-log") {
+            command.args(["--no-step-log", "true"]);
+        }
+        // Without it SUMO looks for XML schemas on the web, and every message is in the machine's language.
+        command.env("SUMO_HOME", home.path()).env("LC_ALL", "C");
+        if let Some(directory) = &self.directory {
+            command.current_dir(directory);
+        }
+        command
+    }
+}
+
+/// How a SUMO ended that was closed in order.
+#[derive(Debug, Clone)]
+pub struct ExitReport {
+    /// Exit status; always success.
+    pub status: ExitStatus,
+    /// SUMO's last lines on stderr, warnings mostly, oldest first.
+    pub last_lines: Vec<String>,
+    /// Lines before those, no longer kept.
+    pub lines_dropped: u64,
+}
+
+/// A running SUMO with the connection to it.
+///
+/// It is never left behind: dropping this value kills and reaps it, and on Linux the kernel kills it when this process
+/// dies in any way, `SIGKILL` included. It may be started on one thread and used or dropped on another.
+#[derive(Debug)]
+pub struct Sumo {
+    process: Arc<Process>,
+    client: Client,
+    port: u16,
+}
+
+impl Sumo {
+    /// Starts SUMO on a fresh port and waits until it has loaded its files. `timeout` is the deadline for that, and
+    /// for every later call unless [`Client::set_timeout`] changes it. A port that somebody takes in the last moment is
+    /// replaced by another.
+    ///
+    /// # Errors
+    /// [`TraciError::Spawn`] with what SUMO printed if it cannot be started or ends while loading,
+    /// [`TraciError::Timeout`], [`TraciError::Version`].
+    pub fn start(home: &SumoHome, command: &SumoCommand, timeout: Duration) -> Result<Self, TraciError> {
+        start_on(home, command, timeout, &mut PortReservation::new)
+    }
+
+    /// The connection.
+    pub fn client(&mut self) -> &mut Client {
+        &mut self.client
+    }
+
+    /// SUMO's process id.
+    pub fn pid(&self) -> u32 {
+        self.process.pid()
+    }
+
+    /// The port it listens on.
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// Whether the process still runs.
+    pub fn is_running(&self) -> bool {
+        self.process.exit().is_none()
+    }
+
+    /// Closes the connection, waits until SUMO has written its outputs and ended, within the client's timeout, and
+    /// kills it if it does not.
+    ///
+    /// # Errors
+    /// [`TraciError::Crashed`] if SUMO ended with anything but success, [`TraciError::Timeout`] if it had to be
+    /// killed. SUMO has ended in every case.
+    pub fn close(mut self) -> Result<ExitReport, TraciError> {
+        let begun = Instant::now();
+        let timeout = self.client.timeout();
+        let closed = self.client.close();
+        if let Err(error) = closed {
+            self.process.kill();
+            return Err(error);
+        }
+        let exit = self.process.wait(timeout.saturating_sub(begun.elapsed()));
+        let command = || "ending after close".to_owned();
+        let Some(status) = exit else {
+            let evidence = Box::new(self.process.evidence(Duration::ZERO));
+            self.process.kill();
+            return Err(TraciError::Timeout { command: command(), after: timeout, evidence });
+        };
+        let evidence = self.process.evidence(Duration::ZERO);
+        if !status.success() {
+            let detail = "it did not end well".to_owned();
+            return Err(TraciError::Crashed { command: command(), detail, evidence: Box::new(evidence) });
+        }
+        Ok(ExitReport { status, last_lines: evidence.last_lines, lines_dropped: evidence.lines_dropped })
+    }
+
+    /// Ends SUMO at once, outputs unwritten, and reaps it.
+    pub fn kill(self) {
+        drop(self);
+    }
+}
+
+impl Drop for Sumo {
+    fn drop(&mut self) {
+        self.process.kill();
+    }
+}
+
+/// Why one attempt failed.
+enum Attempt {
+    /// Another port may help.
+    PortTaken,
+    /// Nothing will help.
+    Failed(TraciError),
+}
+
+/// As [`Sumo::start`], with ports from `reserve`.
+fn start_on(
+    home: &SumoHome,
+    command: &SumoCommand,
+    timeout: Duration,
+    reserve: &mut dyn FnMut() -> std::io::Result<PortReservation>,
+) -> Result<Sumo, TraciError> {
+    let begun = Instant::now();
+    let spawn_error = |reason: String, evidence: Evidence| TraciError::Spawn {
+        binary: home.binary("sumo"),
+        reason,
+        evidence: Box::new(evidence),
+    };
+    for attempt in 1..=ATTEMPTS {
+        let reservation = reserve()
+            .map_err(|error| spawn_error(format!("no free TCP port: {error}"), Evidence::default()))?;
+        let left = timeout.saturating_sub(begun.elapsed());
+        match try_port(home, command, &reservation, left, timeout) {
+            Ok(sumo) => {
+                tracing::debug!(pid = sumo.pid(), port = sumo.port, took = ?begun.elapsed(), "SUMO started");
+                return Ok(sumo);
+            }
+            Err(Attempt::Failed(error)) => return Err(error),
+            Err(Attempt::PortTaken) => {
+                tracing::debug!(port = reservation.port(), attempt, "port taken, trying another");
+            }
+        }
+    }
+    Err(spawn_error(format!("{ATTEMPTS} free ports were taken before it could listen"), Evidence::default()))
+}
+
+fn try_port(
+    home: &SumoHome,
+    command: &SumoCommand,
+    reservation: &PortReservation,
+    left: Duration,
+    timeout: Duration,
+) -> Result<Sumo, Attempt> {
+    let begun = Instant::now();
+    let port = reservation.port();
+    let binary = home.binary("sumo");
+    let process = Process::start(command.command(home, port)).map_err(|error| {
+        let (reason, evidence) = (error.to_string(), Box::default());
+        Attempt::Failed(TraciError::Spawn { binary: binary.clone(), reason, evidence })
+    })?;
+    let process = Arc::new(process);
+    let ended = |reason: &str, evidence: Evidence| {
+        if port_taken(&evidence) {
+            return Attempt::PortTaken;
+        }
+        let reason = match (evidence.exit_code(), evidence.signal()) {
+            (Some(code), _) => format!("{reason} with exit code {code}"),
+            (None, Some(signal)) => format!("{reason} by signal {signal}"),
+            (None, None) => reason.to_owned(),
+        };
+        Attempt::Failed(TraciError::Spawn { binary: binary.clone(), reason, evidence: Box::new(evidence) })
+    };
+
+    let mut pause = Duration::from_millis(1);
+    loop {
+        if process.exit().is_some() {
+            return Err(ended("it ended before it listened", process.evidence(Duration::ZERO)));
+        }
+        match listens(process.pid(), port) {
+            Some(true) => break,
+            // Where the system does not tell, a connection attempt has to.
+            None if std::net::TcpStream::connect((Ipv4Addr::LOCALHOST, port)).is_ok() => break,
+            _ => {}
+        }
+        if begun.elapsed() >= left {
+            let evidence = Box::new(process.evidence(Duration::ZERO));
+            let command = "its start".to_owned();
+            return Err(Attempt::Failed(TraciError::Timeout { command, after: timeout, evidence }));
+        }
+        std::thread::sleep(pause);
+        pause = (pause * 2).min(Duration::from_millis(8));
+    }
+
+    let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+    let left = left.saturating_sub(begun.elapsed());
+    match Client::attach(address, left, timeout, Some(Arc::clone(&process))) {
+        Ok(client) => Ok(Sumo { process, client, port }),
+        Err(TraciError::Crashed { evidence, .. }) => Err(ended("it ended while loading", *evidence)),
+        Err(TraciError::Timeout { evidence, .. }) => {
+            let command = "its start".to_owned();
+            Err(Attempt::Failed(TraciError::Timeout { command, after: timeout, evidence }))
+        }
+        Err(other) => Err(Attempt::Failed(other)),
+    }
+}
+
+/// Whether SUMO ended because it could not listen.
+fn port_taken(evidence: &Evidence) -> bool {
+    evidence.exit.is_some()
+        && evidence.last_lines.iter().any(|line| {
+            line.contains("Address already in use") || line.contains("Unable to create listening socket")
+        })
+}

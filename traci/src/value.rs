@@ -1,0 +1,406 @@
+//! Typed values: what SUMO sends ([`Value`], borrowed from the receive buffer) and what is sent to it ([`Argument`]).
+
+use crate::codec::{DecodeError, MAX_DEPTH, Reader, Writer};
+use crate::constants::types;
+
+/// A value that SUMO sent. Nothing is copied: strings and lists point into the receive buffer.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum Value<'a> {
+    /// A real number.
+    Double(f64),
+    /// An integer.
+    Int(i32),
+    /// A signed byte.
+    Byte(i8),
+    /// An unsigned byte.
+    UByte(u8),
+    /// Text.
+    Str(&'a str),
+    /// A list of texts.
+    StrList(StrList<'a>),
+    /// A list of real numbers.
+    DoubleList(DoubleList<'a>),
+    /// A point in the network's own coordinates, metres. `z` is absent for a flat one.
+    Position {
+        /// East, metres.
+        x: f64,
+        /// North, metres.
+        y: f64,
+        /// Up, metres.
+        z: Option<f64>,
+    },
+    /// A point in longitude and latitude, degrees, and altitude where SUMO knows it, metres.
+    Geo {
+        /// Degrees east.
+        longitude: f64,
+        /// Degrees north.
+        latitude: f64,
+        /// Metres.
+        altitude: Option<f64>,
+    },
+    /// A place on an edge.
+    RoadMap {
+        /// Edge.
+        edge: &'a str,
+        /// Metres from the edge's beginning.
+        position: f64,
+        /// Lane index, 0 is the rightmost.
+        lane: u8,
+    },
+    /// Red, green, blue, alpha.
+    Color([u8; 4]),
+    /// A line or area in the network's coordinates.
+    Polygon(Polygon<'a>),
+    /// Several values.
+    Compound(Compound<'a>),
+    /// In a subscription: SUMO could not find this value, and says why.
+    Failed(&'a str),
+}
+
+impl<'a> Value<'a> {
+    /// The type's name, for messages.
+    pub fn type_name(&self) -> &'static str {
+        match self {
+            Self::Double(_) => "a double",
+            Self::Int(_) => "an integer",
+            Self::Byte(_) => "a byte",
+            Self::UByte(_) => "an unsigned byte",
+            Self::Str(_) => "a string",
+            Self::StrList(_) => "a list of strings",
+            Self::DoubleList(_) => "a list of doubles",
+            Self::Position { .. } => "a position",
+            Self::Geo { .. } => "a geographic position",
+            Self::RoadMap { .. } => "a place on an edge",
+            Self::Color(_) => "a colour",
+            Self::Polygon(_) => "a polygon",
+            Self::Compound(_) => "a compound",
+            Self::Failed(_) => "an error",
+        }
+    }
+
+    fn wrong(&self, expected: &'static str) -> DecodeError {
+        match self {
+            Self::Failed(message) => DecodeError::Failed((*message).to_owned()),
+            other => DecodeError::Type { expected, found: other.type_name() },
+        }
+    }
+
+    /// The real number.
+    ///
+    /// # Errors
+    /// [`DecodeError::Type`] if it is something else, [`DecodeError::Failed`] if SUMO had no value; so for all the
+    /// methods below.
+    pub fn double(&self) -> Result<f64, DecodeError> {
+        if let Self::Double(value) = self { Ok(*value) } else { Err(self.wrong("a double")) }
+    }
+
+    /// The integer; bytes count as integers.
+    ///
+    /// # Errors
+    /// As [`double`](Self::double).
+    pub fn int(&self) -> Result<i32, DecodeError> {
+        match self {
+            Self::Int(value) => Ok(*value),
+            Self::Byte(value) => Ok((*value).into()),
+            Self::UByte(value) => Ok((*value).into()),
+            other => Err(other.wrong("an integer")),
+        }
+    }
+
+    /// The text.
+    ///
+    /// # Errors
+    /// As [`double`](Self::double).
+    pub fn str(&self) -> Result<&'a str, DecodeError> {
+        if let Self::Str(value) = self { Ok(value) } else { Err(self.wrong("a string")) }
+    }
+
+    /// The list of texts.
+    ///
+    /// # Errors
+    /// As [`double`](Self::double).
+    pub fn strings(&self) -> Result<StrList<'a>, DecodeError> {
+        if let Self::StrList(value) = self { Ok(*value) } else { Err(self.wrong("a list of strings")) }
+    }
+
+    /// The list of numbers.
+    ///
+    /// # Errors
+    /// As [`double`](Self::double).
+    pub fn doubles(&self) -> Result<DoubleList<'a>, DecodeError> {
+        if let Self::DoubleList(value) = self { Ok(*value) } else { Err(self.wrong("a list of doubles")) }
+    }
+
+    /// The point's east and north coordinates, metres.
+    ///
+    /// # Errors
+    /// As [`double`](Self::double).
+    pub fn position(&self) -> Result<(f64, f64), DecodeError> {
+        if let Self::Position { x, y, .. } = self { Ok((*x, *y)) } else { Err(self.wrong("a position")) }
+    }
+
+    /// The parts of a compound.
+    ///
+    /// # Errors
+    /// As [`double`](Self::double).
+    pub fn compound(&self) -> Result<Compound<'a>, DecodeError> {
+        if let Self::Compound(value) = self { Ok(*value) } else { Err(self.wrong("a compound")) }
+    }
+}
+
+macro_rules! list {
+    ($(#[$doc:meta])* $name:ident, $item:ty, $iter:ident, $least:expr, $read:expr) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        pub struct $name<'a> {
+            count: usize,
+            bytes: &'a [u8],
+        }
+
+        impl<'a> $name<'a> {
+            /// Number of items.
+            pub fn len(&self) -> usize {
+                self.count
+            }
+
+            /// Whether there is no item.
+            pub fn is_empty(&self) -> bool {
+                self.count == 0
+            }
+
+            /// The items, in SUMO's order.
+            pub fn iter(&self) -> $iter<'a> {
+                $iter { left: self.count, reader: Reader::new(self.bytes) }
+            }
+
+            /// Checks every item now, so that iterating needs no errors.
+            fn read(reader: &mut Reader<'a>, count: usize) -> Result<Self, DecodeError> {
+                let all = reader.rest();
+                for _ in 0..count {
+                    let _: $item = $read(reader)?;
+                }
+                Ok(Self { count, bytes: &all[..all.len() - reader.rest().len()] })
+            }
+        }
+
+        impl<'a> IntoIterator for $name<'a> {
+            type Item = $item;
+            type IntoIter = $iter<'a>;
+            fn into_iter(self) -> $iter<'a> {
+                self.iter()
+            }
+        }
+
+        /// Iterator over the items of the list of the same name.
+        #[derive(Debug, Clone)]
+        pub struct $iter<'a> {
+            left: usize,
+            reader: Reader<'a>,
+        }
+
+        impl<'a> Iterator for $iter<'a> {
+            type Item = $item;
+            fn next(&mut self) -> Option<$item> {
+                self.left = self.left.checked_sub(1)?;
+                // The list was checked when it was read; `ok` can only end a list that nobody can construct.
+                $read(&mut self.reader).ok()
+            }
+            fn size_hint(&self) -> (usize, Option<usize>) {
+                (self.left, Some(self.left))
+            }
+        }
+
+        impl ExactSizeIterator for $iter<'_> {}
+    };
+}
+
+fn read_pair(reader: &mut Reader<'_>) -> Result<(f64, f64), DecodeError> {
+    Ok((reader.f64()?, reader.f64()?))
+}
+
+list!(
+    /// Texts in the receive buffer.
+    StrList, &'a str, StrIter, 4, Reader::str
+);
+list!(
+    /// Numbers in the receive buffer.
+    DoubleList, f64, DoubleIter, 8, Reader::f64
+);
+list!(
+    /// Points (x, y) in the receive buffer, metres.
+    Polygon, (f64, f64), PointIter, 16, read_pair
+);
+
+/// Values in the receive buffer that belong together.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Compound<'a> {
+    bytes: &'a [u8],
+}
+
+impl<'a> Compound<'a> {
+    /// The parts, in SUMO's order.
+    pub fn iter(&self) -> CompoundIter<'a> {
+        CompoundIter { reader: Reader::new(self.bytes) }
+    }
+}
+
+impl<'a> IntoIterator for Compound<'a> {
+    type Item = Value<'a>;
+    type IntoIter = CompoundIter<'a>;
+    fn into_iter(self) -> CompoundIter<'a> {
+        self.iter()
+    }
+}
+
+/// Iterator over a [`Compound`].
+#[derive(Debug, Clone)]
+pub struct CompoundIter<'a> {
+    reader: Reader<'a>,
+}
+
+impl<'a> Iterator for CompoundIter<'a> {
+    type Item = Value<'a>;
+    fn next(&mut self) -> Option<Value<'a>> {
+        if self.reader.is_empty() { None } else { read_value(&mut self.reader).ok() }
+    }
+}
+
+/// Reads a type id and the value behind it, and checks all of it.
+///
+/// # Errors
+/// [`DecodeError`] for an unknown type, a wrong length or text that is not UTF-8.
+pub fn read_value<'a>(reader: &mut Reader<'a>) -> Result<Value<'a>, DecodeError> {
+    read_typed(reader, 0)
+}
+
+fn read_typed<'a>(reader: &mut Reader<'a>, depth: usize) -> Result<Value<'a>, DecodeError> {
+    Ok(match reader.u8()? {
+        types::DOUBLE => Value::Double(reader.f64()?),
+        types::INTEGER => Value::Int(reader.i32()?),
+        types::STRING => Value::Str(reader.str()?),
+        types::BYTE => Value::Byte(reader.i8()?),
+        types::UBYTE => Value::UByte(reader.u8()?),
+        types::STRING_LIST => {
+            let count = reader.count(4)?;
+            Value::StrList(StrList::read(reader, count)?)
+        }
+        types::DOUBLE_LIST => {
+            let count = reader.count(8)?;
+            Value::DoubleList(DoubleList::read(reader, count)?)
+        }
+        types::POSITION_2D => Value::Position { x: reader.f64()?, y: reader.f64()?, z: None },
+        types::POSITION_3D => Value::Position { x: reader.f64()?, y: reader.f64()?, z: Some(reader.f64()?) },
+        types::POSITION_GEO => {
+            Value::Geo { longitude: reader.f64()?, latitude: reader.f64()?, altitude: None }
+        }
+        types::POSITION_GEO_ALTITUDE => {
+            Value::Geo { longitude: reader.f64()?, latitude: reader.f64()?, altitude: Some(reader.f64()?) }
+        }
+        types::POSITION_ROADMAP => {
+            Value::RoadMap { edge: reader.str()?, position: reader.f64()?, lane: reader.u8()? }
+        }
+        types::COLOR => Value::Color([reader.u8()?, reader.u8()?, reader.u8()?, reader.u8()?]),
+        types::POLYGON => {
+            // One byte of length; zero announces four more, as in a command.
+            let count = match reader.u8()? {
+                0 => reader.count(16)?,
+                short => short.into(),
+            };
+            Value::Polygon(Polygon::read(reader, count)?)
+        }
+        types::COMPOUND => {
+            if depth >= MAX_DEPTH {
+                return Err(DecodeError::Depth);
+            }
+            let count = reader.count(2)?;
+            let all = reader.rest();
+            for _ in 0..count {
+                read_typed(reader, depth + 1)?;
+            }
+            Value::Compound(Compound { bytes: &all[..all.len() - reader.rest().len()] })
+        }
+        unknown => return Err(DecodeError::UnknownType(unknown)),
+    })
+}
+
+/// Reads the value of a response block, which ends with the block.
+///
+/// SUMO's counts in front of compounds are not the number of parts for every variable, so here the block's end counts.
+///
+/// # Errors
+/// As [`read_value`], and [`DecodeError::Trailing`].
+pub fn read_last_value<'a>(mut reader: Reader<'a>) -> Result<Value<'a>, DecodeError> {
+    if reader.rest().first() == Some(&types::COMPOUND) {
+        reader.take(5)?;
+        let bytes = reader.rest();
+        while !reader.is_empty() {
+            read_typed(&mut reader, 1)?;
+        }
+        return Ok(Value::Compound(Compound { bytes }));
+    }
+    let value = read_value(&mut reader)?;
+    reader.end()?;
+    Ok(value)
+}
+
+/// A value to send.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum Argument<'a> {
+    /// A real number.
+    Double(f64),
+    /// An integer.
+    Int(i32),
+    /// A signed byte.
+    Byte(i8),
+    /// An unsigned byte.
+    UByte(u8),
+    /// Text.
+    Str(&'a str),
+    /// A list of texts.
+    StrList(&'a [&'a str]),
+    /// A list of real numbers.
+    DoubleList(&'a [f64]),
+    /// A point, metres.
+    Position {
+        /// East, metres.
+        x: f64,
+        /// North, metres.
+        y: f64,
+    },
+    /// Red, green, blue, alpha.
+    Color([u8; 4]),
+    /// Several values.
+    Compound(&'a [Argument<'a>]),
+}
+
+impl Argument<'_> {
+    /// Appends type id and value.
+    pub fn write(&self, writer: &mut Writer<'_>) {
+        match self {
+            Self::Double(value) => writer.u8(types::DOUBLE).f64(*value),
+            Self::Int(value) => writer.u8(types::INTEGER).i32(*value),
+            Self::Byte(value) => writer.u8(types::BYTE).i8(*value),
+            Self::UByte(value) => writer.u8(types::UBYTE).u8(*value),
+            Self::Str(value) => writer.u8(types::STRING).str(value),
+            Self::StrList(values) => {
+                values.iter().fold(writer.u8(types::STRING_LIST).count(values.len()), |w, value| w.str(value))
+            }
+            Self::DoubleList(values) => values
+                .iter()
+                .fold(writer.u8(types::DOUBLE_LIST).count(values.len()), |w, value| w.f64(*value)),
+            Self::Position { x, y } => writer.u8(types::POSITION_2D).f64(*x).f64(*y),
+            Self::Color(channels) => {
+                channels.iter().fold(writer.u8(types::COLOR), |w, channel| w.u8(*channel))
+            }
+            Self::Compound(parts) => {
+                let writer = writer.u8(types::COMPOUND).count(parts.len());
+                for part in *parts {
+                    part.write(writer);
+                }
+                writer
+            }
+        };
+    }
+}
