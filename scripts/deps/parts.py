@@ -153,7 +153,7 @@ class Libtorch(Part):
         self.flavour = flavour
         self.label = f"libtorch {TORCH_VERSION}" + (" with CUDA" if flavour == "cuda" else "")
         self.stamp = f"torch {TORCH_VERSION} {flavour} {architecture()}, layout 1\n"
-        self.gib = 14.0 if flavour == "cuda" else 1.5
+        self.gib = 8.0 if flavour == "cuda" else 1.5
 
     def fill(self, folder, store):
         torch = self.fetch(store, f"torch=={TORCH_VERSION}")
