@@ -77,7 +77,7 @@ impl EnvConfig {
             ));
         }
         in_range("env.episode_seconds", self.episode_seconds, self.decision_seconds, 7 * 24 * 3600)?;
-        if self.episode_seconds % self.decision_seconds != 0 {
+        if !self.episode_seconds.is_multiple_of(self.decision_seconds) {
             return Err(ConfigError::invalid(
                 "env.episode_seconds",
                 format!(

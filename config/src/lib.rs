@@ -144,7 +144,7 @@ impl Config {
         self.ppo.validate(&self.env)?;
         self.learner.validate(&self.env)?;
         self.actor.validate(&self.env)?;
-        if self.learner.serial && self.ppo.round_steps % self.env.steps_per_episode() != 0 {
+        if self.learner.serial && !self.ppo.round_steps.is_multiple_of(self.env.steps_per_episode()) {
             return Err(ConfigError::invalid(
                 "ppo.round_steps",
                 format!(

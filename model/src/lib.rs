@@ -30,7 +30,6 @@ pub use trainer::{Trainer, TrainerFiles, UpdateStats};
 /// Two OpenMP threads on a machine whose cores are busy made one small forward pass 150 times slower.
 pub fn set_single_threaded() {
     tch::set_num_threads(1);
-    tch::set_num_interop_threads(1);
 }
 
 /// The version of libtorch that this crate is built for; the build refuses any other.

@@ -4,7 +4,7 @@ use crate::error::ModelError;
 use crate::net::{Net, Role};
 use cross_config::{EnvConfig, ModelConfig};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use tch::{Kind, Tensor};
 
 /// Version of the files' layout.
@@ -13,6 +13,13 @@ pub const FORMAT_VERSION: &str = "1";
 pub const POLICY_FORMAT: &str = "cross-policy";
 /// What a file of optimiser state calls itself.
 pub const OPTIMIZER_FORMAT: &str = "cross-optimizer";
+
+/// The one metadata key of a file: a JSON object of strings. With several keys the header's order, and so the file's
+/// bytes, would differ from run to run.
+const METADATA_KEY: &str = "cross";
+
+/// Text metadata of a file.
+pub type Metadata = BTreeMap<String, String>;
 
 /// Metadata of a policy file.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,10 +33,10 @@ pub struct PolicyMetadata {
 }
 
 impl PolicyMetadata {
-    fn to_map(&self) -> HashMap<String, String> {
+    fn to_map(&self) -> Metadata {
         // Plain data serialises.
         let json = |value: Result<String, serde_json::Error>| value.expect("a configuration serialises");
-        HashMap::from([
+        Metadata::from([
             ("format".to_owned(), POLICY_FORMAT.to_owned()),
             ("format_version".to_owned(), FORMAT_VERSION.to_owned()),
             ("policy_version".to_owned(), self.policy_version.to_string()),
@@ -45,7 +52,7 @@ impl PolicyMetadata {
 /// [`ModelError::Mismatch`] if a tensor cannot be written, which float32 tensors always can.
 pub fn write<'a>(
     tensors: impl Iterator<Item = (String, &'a Tensor)>,
-    metadata: HashMap<String, String>,
+    metadata: Metadata,
 ) -> Result<Vec<u8>, ModelError> {
     let buffers: Vec<(String, Vec<usize>, Vec<u8>)> = tensors
         .map(|(name, tensor)| {
@@ -59,7 +66,9 @@ pub fn write<'a>(
             .map_err(|e| ModelError::Mismatch { what: "snapshot", reason: format!("{name}: {e}") })?;
         views.push((name.as_str(), view));
     }
-    safetensors::serialize(views, Some(metadata))
+    // Plain data serialises.
+    let metadata = serde_json::to_string(&metadata).expect("strings serialise");
+    safetensors::serialize(views, Some(HashMap::from([(METADATA_KEY.to_owned(), metadata)])))
         .map_err(|e| ModelError::Mismatch { what: "snapshot", reason: e.to_string() })
 }
 
@@ -75,7 +84,7 @@ fn bytes_of(tensor: &Tensor) -> Vec<u8> {
 pub struct File<'a> {
     what: &'static str,
     tensors: SafeTensors<'a>,
-    metadata: HashMap<String, String>,
+    metadata: Metadata,
 }
 
 impl<'a> File<'a> {
@@ -87,7 +96,8 @@ impl<'a> File<'a> {
         let damaged = |e: safetensors::SafeTensorError| ModelError::Damaged { what, reason: e.to_string() };
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(damaged)?;
         let tensors = SafeTensors::deserialize(bytes).map_err(damaged)?;
-        let metadata = header.metadata().clone().unwrap_or_default();
+        let text = header.metadata().as_ref().and_then(|map| map.get(METADATA_KEY));
+        let metadata: Metadata = text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default();
         let found = metadata.get("format").map_or("no format key", String::as_str);
         if found != format {
             return Err(ModelError::Foreign { what, reason: format!("expected {format}, found {found}") });

@@ -13,7 +13,7 @@ use cross_sim::trajectory::Fragment;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use tch::{Kind, Tensor};
 
@@ -245,7 +245,7 @@ impl Trainer {
     pub fn save(&self) -> Result<TrainerFiles, ModelError> {
         // Plain data serialises.
         let rng = serde_json::to_string(&self.rng).expect("a generator serialises");
-        let metadata = HashMap::from([
+        let metadata = snapshot::Metadata::from([
             ("format".to_owned(), OPTIMIZER_FORMAT.to_owned()),
             ("format_version".to_owned(), snapshot::FORMAT_VERSION.to_owned()),
             ("updates".to_owned(), self.updates.to_string()),

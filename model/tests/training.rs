@@ -1,0 +1,191 @@
+//! PPO and the losses on a toy network: what must improve improves, what is switched off makes a difference, and a
+//! restored trainer goes on exactly.
+
+mod common;
+
+use common::{Toy, id, ragged, round, tiny_config};
+use cross_config::{Config, Detection, Gfe};
+use cross_model::{ModelError, Policy, Trainer};
+use cross_sim::trajectory::FragmentEnd;
+use std::sync::Arc;
+
+fn trainer(config: &Config) -> Trainer {
+    cross_model::set_single_threaded();
+    Trainer::new(config, vec![("toy".to_owned(), ragged())]).unwrap()
+}
+
+fn learned_loss(config: &Config) -> (f32, f32) {
+    let layout = ragged();
+    let mut trainer = trainer(config);
+    let mut toy = Toy::new(&layout, config, config.seed);
+    let mut judge = |trainer: &Trainer| {
+        let mut policy = Policy::from_snapshot(&trainer.snapshot().unwrap()).unwrap();
+        let mut toy = Toy::new(&layout, config, 1000);
+        toy.play(&mut policy, "toy", id(0, 0), 0, 40, FragmentEnd::Truncated, true).1
+    };
+    let before = judge(&trainer);
+    for _ in 0..config.updates {
+        let fragments = round(&trainer, &mut toy, 30);
+        trainer.update(&fragments).unwrap();
+    }
+    (before, judge(&trainer))
+}
+
+#[test]
+fn serving_the_longest_queue_is_learned_from_five_of_five_seeds() {
+    for seed in 1..=5 {
+        let mut config = tiny_config();
+        config.seed = seed;
+        config.updates = 15;
+        config.ppo.gamma = 0.0;
+        config.ppo.actor_lr = 5e-3;
+        config.ppo.critic_lr = 5e-3;
+        let (before, after) = learned_loss(&config);
+        assert!(after < 0.25 * before, "seed {seed}: lost {before} a decision before, {after} after");
+    }
+}
+
+#[test]
+fn every_variant_trains() {
+    let mut variants: Vec<(&str, Config)> = Vec::new();
+    let mut with = |name, change: fn(&mut Config)| {
+        let mut config = tiny_config();
+        change(&mut config);
+        variants.push((name, config));
+    };
+    with("paper", |c| {
+        c.model.gfe = Gfe::Paper;
+        c.env.detection = Detection::Paper;
+    });
+    with("no pcc", |c| c.model.pcc = false);
+    with("no moe", |c| c.model.moe = false);
+    with("neither", |c| (c.model.pcc, c.model.moe) = (false, false));
+    with("top 1 of 3 experts, 4 centres", |c| (c.model.top_k, c.model.experts, c.model.clusters) = (1, 3, 4));
+    with("contrastive target not detached", |c| c.model.detach_contrastive_target = false);
+    for (name, config) in variants {
+        let mut trainer = trainer(&config);
+        let before = trainer.snapshot().unwrap();
+        let mut toy = Toy::new(&ragged(), &config, 3);
+        let fragments = round(&trainer, &mut toy, 12);
+        let stats = trainer.update(&fragments).unwrap();
+        assert!(
+            stats.losses.values().chain(stats.diagnostics.values()).all(|v| v.is_finite()),
+            "{name}: {stats:?}"
+        );
+        assert_eq!(stats.losses.contains_key("actor_contrastive"), config.model.pcc, "{name}");
+        assert_eq!(stats.losses.contains_key("critic_load_balance"), config.model.moe, "{name}");
+        assert!(before != trainer.snapshot().unwrap(), "{name}: the weights did not move");
+        assert_eq!(stats.decisions, 2 * 12 * 7, "{name}");
+        let shares = |usage: &[f64]| usage.iter().sum::<f64>();
+        if config.model.moe {
+            assert!((shares(&stats.expert_usage) - 1.0).abs() < 1e-4, "{name}");
+        }
+        if config.model.pcc {
+            assert!((shares(&stats.cluster_usage) - 1.0).abs() < 1e-4, "{name}");
+        }
+    }
+}
+
+#[test]
+fn every_loss_weight_matters() {
+    let base = tiny_config();
+    let after = |config: &Config| {
+        let mut trainer = trainer(config);
+        let mut toy = Toy::new(&ragged(), config, 3);
+        let fragments = round(&trainer, &mut toy, 12);
+        trainer.update(&fragments).unwrap();
+        trainer.snapshot().unwrap()
+    };
+    let reference = after(&base);
+    let changes: [(&str, fn(&mut Config)); 8] = [
+        ("entropy", |c| c.ppo.entropy = 0.0),
+        ("value", |c| c.ppo.value = 0.0),
+        ("prediction", |c| c.ppo.prediction = 0.0),
+        ("clustering", |c| c.ppo.clustering = 0.0),
+        ("diversity", |c| c.ppo.diversity = 0.0),
+        ("load_balance", |c| c.ppo.load_balance = 0.0),
+        ("selection_entropy", |c| c.ppo.selection_entropy = 0.0),
+        ("normalise_advantages", |c| c.ppo.normalise_advantages = false),
+    ];
+    for (name, change) in changes {
+        let mut config = base.clone();
+        change(&mut config);
+        assert!(reference != after(&config), "{name} changes nothing");
+    }
+}
+
+#[test]
+fn a_restored_trainer_goes_on_bit_for_bit() {
+    let config = tiny_config();
+    let layout = ragged();
+    let mut whole = trainer(&config);
+    let mut toy = Toy::new(&layout, &config, 9);
+    let rounds: Vec<_> = (0..4)
+        .map(|_| {
+            let fragments = round(&whole, &mut toy, 12);
+            whole.update(&fragments).unwrap();
+            fragments
+        })
+        .collect();
+    let mut first = trainer(&config);
+    first.update(&rounds[0]).unwrap();
+    first.update(&rounds[1]).unwrap();
+    let files = first.save().unwrap();
+    let mut other = config.clone();
+    other.seed = 99;
+    let mut second = Trainer::new(&other, vec![("toy".to_owned(), Arc::clone(&layout))]).unwrap();
+    second.restore(&files.model, &files.optimizer).unwrap();
+    assert_eq!(second.updates(), 2);
+    second.update(&rounds[2]).unwrap();
+    second.update(&rounds[3]).unwrap();
+    assert!(second.save().unwrap() == whole.save().unwrap(), "weights, moments or counters differ");
+}
+
+#[test]
+fn a_reward_that_is_not_a_number_leaves_the_trainer_as_it_was() {
+    let config = tiny_config();
+    let mut trainer = trainer(&config);
+    let mut toy = Toy::new(&ragged(), &config, 9);
+    let good = round(&trainer, &mut toy, 12);
+    let before = trainer.save().unwrap();
+    let mut bad = good.clone();
+    bad[1].rewards[5] = f32::NAN;
+    assert!(matches!(trainer.update(&bad), Err(ModelError::NotFinite(_))));
+    assert!(trainer.save().unwrap() == before, "the failed update left traces");
+    trainer.update(&good).unwrap();
+}
+
+#[test]
+fn fragments_that_do_not_fit_are_refused() {
+    let config = tiny_config();
+    let mut trainer = trainer(&config);
+    let mut toy = Toy::new(&ragged(), &config, 9);
+    let good = round(&trainer, &mut toy, 6).remove(0);
+    let refused = |trainer: &mut Trainer, change: fn(&mut cross_sim::trajectory::Fragment)| {
+        let mut fragment = good.clone();
+        change(&mut fragment);
+        trainer.update(&[fragment]).unwrap_err().to_string()
+    };
+    assert!(refused(&mut trainer, |f| f.scenario = "elsewhere".into()).contains("elsewhere"));
+    assert!(refused(&mut trainer, |f| f.actions[0] = 200).contains("action"));
+    assert!(refused(&mut trainer, |f| f.phases[0] = 200).contains("phase"));
+    assert!(refused(&mut trainer, |f| drop(f.counts.pop())).contains("counts"));
+    assert!(refused(&mut trainer, |f| f.first_step = 6).contains("state"));
+    assert!(matches!(trainer.update(&[]), Err(ModelError::Empty)));
+}
+
+#[test]
+fn damaged_and_foreign_files_are_told_apart() {
+    let config = tiny_config();
+    let mut trainer = trainer(&config);
+    let files = trainer.save().unwrap();
+    let half = &files.model[..files.model.len() / 2];
+    assert!(matches!(Policy::from_snapshot(half), Err(ModelError::Damaged { .. })));
+    assert!(matches!(Policy::from_snapshot(b"not a tensor file"), Err(ModelError::Damaged { .. })));
+    assert!(matches!(Policy::from_snapshot(&files.optimizer), Err(ModelError::Foreign { .. })));
+    assert!(matches!(trainer.restore(&files.model, &files.model), Err(ModelError::Foreign { .. })));
+    let mut other = config.clone();
+    other.model.experts = 3;
+    let mut other = Trainer::new(&other, vec![("toy".to_owned(), ragged())]).unwrap();
+    assert!(matches!(other.restore(&files.model, &files.optimizer), Err(ModelError::Mismatch { .. })));
+}
