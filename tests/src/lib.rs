@@ -1,1 +1,16 @@
-//! See Cargo.toml's description; being written.
+//! Helpers of the cluster tests: the built programs, small runs of them, and what the machine says about processes.
+//!
+//! Nothing is mocked: tests start `cross`, which starts the learner, the actors and SUMO. Waiting is for events with
+//! generous deadlines, never for a time to pass.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a helper that fails ends its test, and its message is the report"
+)]
+
+pub mod binaries;
+pub mod processes;
+pub mod runs;
+pub mod scenarios;
+pub mod wait;

@@ -1,0 +1,7 @@
+//! One file per command.
+
+pub(crate) mod checkpoint;
+pub(crate) mod doctor;
+pub(crate) mod eval;
+pub(crate) mod scenario;
+pub(crate) mod train;

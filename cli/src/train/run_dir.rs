@@ -1,0 +1,232 @@
+//! The run directory: what a training run leaves on disk, and who may use it.
+//!
+//! ```text
+//!   DIR/config.toml      the effective configuration
+//!   DIR/run.json         identity of the run (written by the learner)
+//!   DIR/learner.json     where the learner listens now (written by the learner)
+//!   DIR/checkpoints/     numbered checkpoints and `latest`
+//!   DIR/metrics.jsonl    one line per update
+//!   DIR/logs/            one log per process
+//!   DIR/curves.svg       learning curves        } written at the end
+//!   DIR/result.json      the closing evaluation }
+//! ```
+
+use crate::failure::{Failure, Outcome};
+use anyhow::Context;
+use std::fs::{File, TryLockError};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// Where runs go unless told otherwise.
+pub(crate) const RUNS: &str = "runs";
+
+/// A run directory that this process alone uses until it is dropped.
+#[derive(Debug)]
+pub(crate) struct RunDir {
+    path: PathBuf,
+    _lock: File,
+}
+
+impl RunDir {
+    /// A new run. `given` must not hold a run yet; without it a name is made of the time.
+    pub(crate) fn create(given: Option<&Path>) -> Outcome<Self> {
+        let path = match given {
+            Some(path) => path.to_owned(),
+            None => fresh_name(Path::new(RUNS), SystemTime::now()),
+        };
+        if path.is_file() {
+            return Err(Failure::input(format!("{} is a file; name a directory with --run", path.display())));
+        }
+        if holds_run(&path) {
+            return Err(Failure::input(format!(
+                "{} already holds a run; continue it with --resume or name another directory with --run",
+                path.display()
+            )));
+        }
+        std::fs::create_dir_all(path.join("logs"))
+            .with_context(|| format!("cannot create the run directory {}", path.display()))?;
+        Self::lock(path)
+    }
+
+    /// A run that is there. Without `given` the newest one under [`RUNS`].
+    pub(crate) fn open(given: Option<&Path>) -> Outcome<Self> {
+        let path = match given {
+            Some(path) => path.to_owned(),
+            None => newest(Path::new(RUNS)).ok_or_else(|| {
+                Failure::input(format!("there is no run under {RUNS}/ to resume; name one with --run DIR"))
+            })?,
+        };
+        if !holds_run(&path) {
+            return Err(Failure::input(format!(
+                "{} holds no run to resume; leave out --resume to start one there",
+                path.display()
+            )));
+        }
+        std::fs::create_dir_all(path.join("logs"))
+            .with_context(|| format!("cannot write into the run directory {}", path.display()))?;
+        Self::lock(path)
+    }
+
+    fn lock(path: PathBuf) -> Outcome<Self> {
+        let file = path.join(".lock");
+        let lock = File::create(&file).with_context(|| format!("cannot write {}", file.display()))?;
+        match lock.try_lock() {
+            Ok(()) => Ok(Self { path, _lock: lock }),
+            Err(TryLockError::WouldBlock) => Err(Failure::input(format!(
+                "another `cross train` is using {}; wait for it or name another directory with --run",
+                path.display()
+            ))),
+            Err(TryLockError::Error(error)) => {
+                Err(anyhow::Error::new(error).context(format!("cannot lock {}", file.display())).into())
+            }
+        }
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(crate) fn config(&self) -> PathBuf {
+        self.path.join("config.toml")
+    }
+
+    pub(crate) fn learner_json(&self) -> PathBuf {
+        self.path.join("learner.json")
+    }
+
+    pub(crate) fn checkpoints(&self) -> PathBuf {
+        self.path.join("checkpoints")
+    }
+
+    pub(crate) fn metrics(&self) -> PathBuf {
+        self.path.join("metrics.jsonl")
+    }
+
+    pub(crate) fn curves(&self) -> PathBuf {
+        self.path.join("curves.svg")
+    }
+
+    pub(crate) fn result(&self) -> PathBuf {
+        self.path.join("result.json")
+    }
+
+    pub(crate) fn log(&self, process: &str) -> PathBuf {
+        self.path.join("logs").join(format!("{process}.log"))
+    }
+
+    /// Whether there is a checkpoint to go on from.
+    pub(crate) fn has_checkpoint(&self) -> bool {
+        self.checkpoints().join("latest").is_file()
+    }
+}
+
+/// Writes a whole file or leaves the old one.
+pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Outcome<()> {
+    let temporary = path.with_extension("part");
+    std::fs::write(&temporary, bytes)
+        .and_then(|()| std::fs::rename(&temporary, path))
+        .with_context(|| format!("cannot write {}", path.display()))?;
+    Ok(())
+}
+
+/// Id of the newest checkpoint in a directory of checkpoints.
+pub(crate) fn latest_checkpoint(checkpoints: &Path) -> Option<String> {
+    let id = std::fs::read_to_string(checkpoints.join("latest")).ok()?;
+    Some(id.trim().to_owned()).filter(|id| !id.is_empty())
+}
+
+/// Updates that the newest checkpoint holds.
+pub(crate) fn checkpointed_updates(checkpoints: &Path) -> Option<u64> {
+    let metadata = checkpoints.join(latest_checkpoint(checkpoints)?).join("metadata.json");
+    let metadata: serde_json::Value = serde_json::from_slice(&std::fs::read(metadata).ok()?).ok()?;
+    metadata["updates"].as_u64()
+}
+
+fn holds_run(path: &Path) -> bool {
+    path.join("config.toml").exists() || path.join("checkpoints").exists()
+}
+
+/// `runs/20260131-235959`, with a number after it where that is taken.
+fn fresh_name(parent: &Path, now: SystemTime) -> PathBuf {
+    let stamp = utc_stamp(now.duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs());
+    let mut path = parent.join(&stamp);
+    let mut number = 2;
+    while path.exists() {
+        path = parent.join(format!("{stamp}-{number}"));
+        number += 1;
+    }
+    path
+}
+
+/// The newest run by the time its configuration was written.
+pub(crate) fn newest(parent: &Path) -> Option<PathBuf> {
+    std::fs::read_dir(parent)
+        .ok()?
+        .flatten()
+        .filter_map(|entry| {
+            let written = entry.path().join("config.toml").metadata().ok()?.modified().ok()?;
+            Some((written, entry.path()))
+        })
+        .max()
+        .map(|(_, path)| path)
+}
+
+/// UTC date and time of seconds since 1970 as `YYYYMMDD-HHMMSS`.
+fn utc_stamp(seconds: u64) -> String {
+    let (mut days, time) = (seconds / 86_400, seconds % 86_400);
+    let is_leap = |year: u64| year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
+    let mut year = 1970;
+    loop {
+        let length = if is_leap(year) { 366 } else { 365 };
+        if days < length {
+            break;
+        }
+        days -= length;
+        year += 1;
+    }
+    let february = if is_leap(year) { 29 } else { 28 };
+    let mut month = 1;
+    for length in [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31] {
+        if days < length {
+            break;
+        }
+        days -= length;
+        month += 1;
+    }
+    let (hour, minute, second) = (time / 3600, time / 60 % 60, time % 60);
+    format!("{year:04}{month:02}{:02}-{hour:02}{minute:02}{second:02}", days + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stamps_are_utc_dates() {
+        assert_eq!(utc_stamp(0), "19700101-000000");
+        assert_eq!(utc_stamp(951_868_799), "20000229-235959");
+        assert_eq!(utc_stamp(1_798_761_599), "20261231-235959");
+    }
+
+    #[test]
+    fn a_second_user_is_refused_and_a_later_one_is_not() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("run");
+        let first = RunDir::create(Some(&path)).unwrap();
+        std::fs::write(first.config(), "").unwrap();
+        let error = RunDir::open(Some(&path)).unwrap_err();
+        assert!(error.to_string().contains("another"), "{error}");
+        assert_eq!(error.code(), crate::failure::BAD_INPUT);
+        drop(first);
+        RunDir::open(Some(&path)).unwrap();
+        let error = RunDir::create(Some(&path)).unwrap_err();
+        assert!(error.to_string().contains("--resume"), "{error}");
+    }
+
+    #[test]
+    fn there_must_be_something_to_resume() {
+        let directory = tempfile::tempdir().unwrap();
+        let error = RunDir::open(Some(directory.path())).unwrap_err();
+        assert!(error.to_string().contains("no run to resume"), "{error}");
+    }
+}

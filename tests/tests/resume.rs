@@ -1,0 +1,63 @@
+//! Stopping, resuming, repeating.
+#![allow(missing_docs, reason = "tests are documented by their names")]
+
+use cross_tests::processes::assert_none_left;
+use cross_tests::runs::{Run, same_bytes, without_times};
+use rustix::process::Signal;
+
+#[test]
+fn a_run_stopped_by_ctrl_c_continues_at_the_next_update() {
+    let run = Run::new();
+    let mut training = run.start(&["--updates", "1000", "--actors", "2"]);
+    training.wait_for_updates(2);
+    training.send(Signal::INT);
+    let stopped = training.wait().json();
+    assert_none_left(&run.marker());
+    assert_eq!(stopped["interrupted"], true);
+    let done = stopped["updates"].as_u64().unwrap();
+    assert!(done >= 2, "{stopped}");
+    assert_eq!(run.updates(), done, "the last update is in the metrics and in the checkpoint");
+
+    let wanted = (done + 2).to_string();
+    let arguments = ["--resume", "--updates", &wanted, "--actors", "2", "--eval-seeds", "0"];
+    let resumed = run.finish(&arguments).json();
+    assert_eq!(resumed["interrupted"], false);
+    let updates: Vec<u64> = run.metrics().iter().map(|line| line["update"].as_u64().unwrap()).collect();
+    assert_eq!(updates, (1..=done + 2).collect::<Vec<_>>(), "no update is lost or repeated");
+    assert_none_left(&run.marker());
+}
+
+#[test]
+fn a_serial_run_stopped_and_resumed_equals_an_uninterrupted_one_bit_for_bit() {
+    let arguments = ["--serial", "--seed", "5", "--updates", "6", "--eval-seeds", "0"];
+    let whole = Run::new();
+    let _ = whole.finish(&arguments).json();
+
+    let parts = Run::new();
+    let mut training = parts.start(&arguments);
+    training.wait_for_updates(2);
+    training.send(Signal::INT);
+    let stopped = training.wait().json();
+    let done = stopped["updates"].as_u64().unwrap();
+    assert!((2..6).contains(&done), "stopped too late to prove anything: {stopped}");
+    let _ = parts.finish(&["--resume", "--serial", "--eval-seeds", "0"]).json();
+
+    assert_eq!(without_times(&parts.metrics()), without_times(&whole.metrics()));
+    let model = |run: &Run| run.newest_checkpoint().join("model.safetensors");
+    assert!(same_bytes(&model(&parts), &model(&whole)), "the weights differ");
+    let optimizer = |run: &Run| run.newest_checkpoint().join("optimizer.safetensors");
+    assert!(same_bytes(&optimizer(&parts), &optimizer(&whole)), "the optimiser state differs");
+}
+
+#[test]
+fn two_serial_runs_with_one_seed_are_the_same_and_another_seed_is_not() {
+    let metrics = |seed: &str| {
+        let run = Run::new();
+        let _ = run.finish(&["--serial", "--seed", seed, "--updates", "3", "--eval-seeds", "0"]).json();
+        without_times(&run.metrics())
+    };
+    let first = metrics("7");
+    assert_eq!(first.len(), 3);
+    assert_eq!(first, metrics("7"));
+    assert_ne!(first, metrics("8"));
+}
