@@ -148,13 +148,11 @@ impl Batch {
     }
 
     /// `[samples, w]` to `[rows, w]`.
-    #[must_use]
     pub fn repeat_over_phases(&self, x: &Tensor) -> Tensor {
         x.index_select(0, &self.sample_of_row)
     }
 
     /// `[sequences, w]` to `[samples, w]`.
-    #[must_use]
     pub fn repeat_over_steps(&self, x: &Tensor) -> Tensor {
         x.unsqueeze(1).expand([-1, self.steps, -1], false).reshape([self.samples(), -1])
     }
@@ -173,13 +171,11 @@ impl Batch {
     }
 
     /// Log-probabilities of every row's phase among its junction's `[rows]`.
-    #[must_use]
     pub fn log_softmax(&self, scores: &Tensor) -> Tensor {
         self.map_groups(scores, |own| own.squeeze_dim(2).log_softmax(1, Kind::Float).reshape([-1]))
     }
 
     /// Row of each sample's action `[samples]`; `actions` in packed sample order.
-    #[must_use]
     pub fn chosen_rows(&self, actions: &[u8]) -> Tensor {
         let mut rows = Vec::with_capacity(actions.len());
         for group in &self.groups {

@@ -65,13 +65,13 @@ mod tests {
 
     #[test]
     fn normalised_values_have_mean_zero_and_deviation_one() {
-        let mut values = vec![1.0, 2.0, 3.0, 6.0];
+        let mut values = [1.0, 2.0, 3.0, 6.0];
         normalise(values.iter_mut());
         let mean: f32 = values.iter().sum::<f32>() / 4.0;
         let variance: f32 = values.iter().map(|v| v * v).sum::<f32>() / 4.0;
         assert!(mean.abs() < 1e-6 && (variance - 1.0).abs() < 1e-5);
-        let mut flat = vec![2.0; 3];
+        let mut flat = [2.0; 3];
         normalise(flat.iter_mut());
-        assert_eq!(flat, vec![0.0; 3]);
+        assert_eq!(flat, [0.0; 3]);
     }
 }

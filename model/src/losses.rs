@@ -93,7 +93,6 @@ pub fn critic(
 }
 
 /// Values `[samples]`: mean of the critic's scores over each junction's phases.
-#[must_use]
 pub fn values(batch: &Batch, forward: &Forward) -> Tensor {
     batch.map_groups(&forward.scores, |own| own.squeeze_dim(2).mean_dim(1, false, Kind::Float))
 }
@@ -157,7 +156,6 @@ fn entropy_of(distribution: &Tensor) -> Tensor {
 }
 
 /// Share of the gating weight that each expert received `[experts]`, sums to 1.
-#[must_use]
 pub fn expert_usage(alpha: &Tensor, indices: &Tensor, experts: i64) -> Tensor {
     let zeros = Tensor::zeros([experts], (Kind::Float, alpha.device()));
     let sums = zeros.index_add(0, &indices.reshape([-1]), &alpha.reshape([-1]));

@@ -63,15 +63,15 @@ impl<'a> Init<'a> {
         let count: i64 = shape.iter().product();
         let values: Vec<f32> =
             (0..count).map(|_| (bound * (2.0 * self.rng.random::<f64>() - 1.0)) as f32).collect();
-        self.add(name, Tensor::from_slice(&values).view(shape))
+        self.add(name, &Tensor::from_slice(&values).view(shape))
     }
 
     /// A parameter filled with one value.
     pub fn constant(&mut self, name: &str, shape: &[i64], value: f64) -> Tensor {
-        self.add(name, Tensor::full(shape, value, (Kind::Float, Device::Cpu)))
+        self.add(name, &Tensor::full(shape, value, (Kind::Float, Device::Cpu)))
     }
 
-    fn add(&mut self, name: &str, tensor: Tensor) -> Tensor {
+    fn add(&mut self, name: &str, tensor: &Tensor) -> Tensor {
         let tensor = tensor.set_requires_grad(true);
         self.params.entries.push((format!("{}.{name}", self.prefix), tensor.shallow_clone()));
         tensor

@@ -52,7 +52,7 @@ impl PolicyMetadata {
 /// [`ModelError::Mismatch`] if a tensor cannot be written, which float32 tensors always can.
 pub fn write<'a>(
     tensors: impl Iterator<Item = (String, &'a Tensor)>,
-    metadata: Metadata,
+    metadata: &Metadata,
 ) -> Result<Vec<u8>, ModelError> {
     let buffers: Vec<(String, Vec<usize>, Vec<u8>)> = tensors
         .map(|(name, tensor)| {
@@ -67,7 +67,7 @@ pub fn write<'a>(
         views.push((name.as_str(), view));
     }
     // Plain data serialises.
-    let metadata = serde_json::to_string(&metadata).expect("strings serialise");
+    let metadata = serde_json::to_string(metadata).expect("strings serialise");
     safetensors::serialize(views, Some(HashMap::from([(METADATA_KEY.to_owned(), metadata)])))
         .map_err(|e| ModelError::Mismatch { what: "snapshot", reason: e.to_string() })
 }
@@ -167,7 +167,7 @@ impl<'a> File<'a> {
 /// As [`write`].
 pub fn write_policy(actor: &Net, critic: &Net, metadata: &PolicyMetadata) -> Result<Vec<u8>, ModelError> {
     let tensors = actor.params().iter().chain(critic.params().iter()).map(|(name, t)| (name.to_owned(), t));
-    write(tensors, metadata.to_map())
+    write(tensors, &metadata.to_map())
 }
 
 /// Metadata of a policy file.

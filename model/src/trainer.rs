@@ -253,7 +253,7 @@ impl Trainer {
             ("actor_t".to_owned(), self.actor_adam.t.to_string()),
             ("critic_t".to_owned(), self.critic_adam.t.to_string()),
         ]);
-        let optimizer = snapshot::write(self.moments(), metadata)?;
+        let optimizer = snapshot::write(self.moments(), &metadata)?;
         Ok(TrainerFiles { model: self.snapshot()?, optimizer })
     }
 

@@ -1,5 +1,7 @@
 //! Properties of the forward pass that no fixture is needed for.
 
+#![allow(clippy::unwrap_used, reason = "a test says by failing what went wrong")]
+
 mod common;
 
 use common::{Toy, id, intersection, ragged, tiny_config};

@@ -1,6 +1,8 @@
 //! PPO and the losses on a toy network: what must improve improves, what is switched off makes a difference, and a
 //! restored trainer goes on exactly.
 
+#![allow(clippy::unwrap_used, reason = "a test says by failing what went wrong")]
+
 mod common;
 
 use common::{Toy, id, ragged, round, tiny_config};
@@ -18,7 +20,7 @@ fn learned_loss(config: &Config) -> (f32, f32) {
     let layout = ragged();
     let mut trainer = trainer(config);
     let mut toy = Toy::new(&layout, config, config.seed);
-    let mut judge = |trainer: &Trainer| {
+    let judge = |trainer: &Trainer| {
         let mut policy = Policy::from_snapshot(&trainer.snapshot().unwrap()).unwrap();
         let mut toy = Toy::new(&layout, config, 1000);
         toy.play(&mut policy, "toy", id(0, 0), 0, 40, FragmentEnd::Truncated, true).1

@@ -103,7 +103,6 @@ impl Net {
     }
 
     /// The recurrent path alone: state after every step `[sequences, steps, hidden]`.
-    #[must_use]
     pub fn advance(&self, batch: &Batch, state: &Tensor) -> Tensor {
         self.gfe.recurrent(batch, state).states
     }
