@@ -32,10 +32,10 @@ build: setup ## Set up and build the binaries in release: target/release/cross, 
 train: build ## Train CROSS on real SUMO, then compare it with Fixed-Time and Max-Pressure
 	@$(IN_ENV) $(TARGET)/release/cross train $(ARGS)
 
-test: build test-setup ## Every test: set-up, units, and whole clusters with real SUMO
+test: build test-setup ## Every test: set-up, documentation, units, and whole clusters with real SUMO
 	@$(IN_ENV) $(CARGO) test --release --workspace
 
-test-setup: setup ## The tests of the set-up alone (quick)
+test-setup: setup ## The tests of the set-up and the documentation alone (quick)
 	@$(PYTHON) -B -m unittest discover --quiet --buffer --start-directory scripts/tests --top-level-directory scripts
 
 verify: setup ## Formatting, lints, documentation, licences; writes nothing outside target/
