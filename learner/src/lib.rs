@@ -1,2 +1,4 @@
 //! The learner.
 pub mod admission;
+pub mod checkpoint;
+mod files;

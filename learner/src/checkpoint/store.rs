@@ -1,0 +1,130 @@
+//! Writing checkpoints so that no crash, at any moment, leaves half of one.
+
+use super::error::CheckpointError;
+use super::metadata::{FileInfo, Metadata};
+use super::{FOLDER, LATEST_FILE, METADATA_FILE, MODEL_FILE, OPTIMIZER_FILE, id, updates_of};
+use crate::files::{replace_file, sync_directory, write_synced};
+use cross_model::TrainerFiles;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Prefix of directories that are being written or removed; whatever bears it is nobody's checkpoint.
+const ASIDE: &str = ".aside-";
+
+/// The checkpoints of one run, for the one process that writes them.
+#[derive(Debug)]
+pub struct Store {
+    folder: PathBuf,
+    keep: usize,
+    /// Writes and synchronises a file. A field so that tests can fill the disk.
+    write: fn(&Path, &[u8]) -> io::Result<()>,
+}
+
+impl Store {
+    /// Opens the folder in a run directory, and clears away what an earlier process left half-written.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Io`].
+    pub fn open(run: &Path, keep: usize) -> Result<Self, CheckpointError> {
+        let folder = run.join(FOLDER);
+        std::fs::create_dir_all(&folder).map_err(CheckpointError::io("create", &folder))?;
+        let store = Self { folder, keep: keep.max(1), write: write_synced };
+        for name in store.names()? {
+            if name.starts_with(ASIDE) {
+                let path = store.folder.join(name);
+                std::fs::remove_dir_all(&path).map_err(CheckpointError::io("remove", &path))?;
+            }
+        }
+        Ok(store)
+    }
+
+    /// As it is, with another way to write files.
+    #[cfg(test)]
+    pub(super) fn writing_with(mut self, write: fn(&Path, &[u8]) -> io::Result<()>) -> Self {
+        self.write = write;
+        self
+    }
+
+    /// Writes a checkpoint, points `latest` at it, and removes the oldest beyond those to keep. `metadata.id` and
+    /// `metadata.files` are filled in here.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Io`]; all earlier checkpoints are then as they were, and readable.
+    pub fn write(&self, files: &TrainerFiles, mut metadata: Metadata) -> Result<String, CheckpointError> {
+        let id = id(metadata.updates);
+        metadata.id.clone_from(&id);
+        metadata.files = [(MODEL_FILE, &files.model), (OPTIMIZER_FILE, &files.optimizer)]
+            .into_iter()
+            .map(|(name, bytes)| (name.to_owned(), FileInfo::of(bytes)))
+            .collect();
+        let aside = self.folder.join(format!("{ASIDE}{id}"));
+        let written = self.fill(&aside, files, &metadata).and_then(|()| self.move_in(&aside, &id));
+        if let Err(error) = written {
+            // The failure that matters is the first one; what stays is cleared away at the next start.
+            let _ = std::fs::remove_dir_all(&aside);
+            return Err(error);
+        }
+        let latest = self.folder.join(LATEST_FILE);
+        replace_file(&latest, format!("{id}\n").as_bytes()).map_err(CheckpointError::io("write", &latest))?;
+        self.prune(&id);
+        Ok(id)
+    }
+
+    fn fill(&self, aside: &Path, files: &TrainerFiles, metadata: &Metadata) -> Result<(), CheckpointError> {
+        if aside.exists() {
+            std::fs::remove_dir_all(aside).map_err(CheckpointError::io("remove", aside))?;
+        }
+        std::fs::create_dir(aside).map_err(CheckpointError::io("create", aside))?;
+        // Plain data serialises.
+        let description = serde_json::to_vec_pretty(metadata).expect("metadata serialises");
+        for (name, bytes) in
+            [(MODEL_FILE, &files.model), (OPTIMIZER_FILE, &files.optimizer), (METADATA_FILE, &description)]
+        {
+            let path = aside.join(name);
+            (self.write)(&path, bytes).map_err(CheckpointError::io("write", &path))?;
+        }
+        sync_directory(aside).map_err(CheckpointError::io("synchronise", aside))
+    }
+
+    /// Gives the written directory its name. One of that name can only be there if the run went back to an earlier
+    /// checkpoint, which is done only when this one was of no use.
+    fn move_in(&self, aside: &Path, id: &str) -> Result<(), CheckpointError> {
+        let path = self.folder.join(id);
+        let replaced = self.folder.join(format!("{ASIDE}{id}-replaced"));
+        if path.exists() {
+            std::fs::rename(&path, &replaced).map_err(CheckpointError::io("rename", &path))?;
+        }
+        std::fs::rename(aside, &path).map_err(CheckpointError::io("rename", aside))?;
+        sync_directory(&self.folder).map_err(CheckpointError::io("synchronise", &self.folder))?;
+        if replaced.exists() {
+            std::fs::remove_dir_all(&replaced).map_err(CheckpointError::io("remove", &replaced))?;
+        }
+        Ok(())
+    }
+
+    /// Removes the oldest checkpoints. A failure costs disk space and nothing else, so it is only logged.
+    fn prune(&self, latest: &str) {
+        let Ok(names) = self.names() else { return };
+        let mut ids: Vec<(u64, String)> =
+            names.into_iter().filter_map(|name| Some((updates_of(&name)?, name))).collect();
+        ids.sort();
+        let surplus = ids.len().saturating_sub(self.keep);
+        for (_, id) in ids.into_iter().filter(|(_, id)| id != latest).take(surplus) {
+            let (path, aside) = (self.folder.join(&id), self.folder.join(format!("{ASIDE}{id}")));
+            // Renamed first: a checkpoint that is half removed must not look like one.
+            let removed = std::fs::rename(&path, &aside).and_then(|()| std::fs::remove_dir_all(&aside));
+            if let Err(error) = removed {
+                tracing::warn!(checkpoint = %path.display(), "cannot remove an old checkpoint: {error}");
+            }
+        }
+    }
+
+    fn names(&self) -> Result<Vec<String>, CheckpointError> {
+        let io = || CheckpointError::io("list", &self.folder);
+        let mut names = Vec::new();
+        for entry in std::fs::read_dir(&self.folder).map_err(io())? {
+            names.push(entry.map_err(io())?.file_name().to_string_lossy().into_owned());
+        }
+        Ok(names)
+    }
+}
