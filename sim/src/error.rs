@@ -4,10 +4,17 @@ use crate::layout::LayoutError;
 use crate::net::NetError;
 use crate::scenario::ScenarioError;
 use crate::signal::ActionError;
+use cross_traci::{LocateError, TraciError};
 
 /// Failure of the environment.
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
+    /// No SUMO to run.
+    #[error(transparent)]
+    Locate(#[from] LocateError),
+    /// SUMO did not start, ended, hung, or refused something.
+    #[error(transparent)]
+    Traci(#[from] TraciError),
     /// The scenario cannot be loaded.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
@@ -20,4 +27,44 @@ pub enum SimError {
     /// Actions that cannot be carried out.
     #[error(transparent)]
     Action(#[from] ActionError),
+    /// A step without a running episode.
+    #[error("no episode is running; reset the environment first")]
+    NotRunning,
+    /// A step after the last one.
+    #[error("the episode is over after {steps} steps; reset the environment for another")]
+    EpisodeOver {
+        /// Steps of an episode.
+        steps: u32,
+    },
+}
+
+impl SimError {
+    /// Whether SUMO failed in a way that another SUMO may not repeat: it crashed, hung, lost its connection or could not
+    /// be started. False for everything that would only happen again.
+    #[must_use]
+    pub fn is_simulator_failure(&self) -> bool {
+        match self {
+            Self::Traci(TraciError::Refused { .. } | TraciError::Version { .. }) => false,
+            Self::Traci(_) => true,
+            _ => false,
+        }
+    }
+
+    pub(crate) fn is_from_sumo(&self) -> bool {
+        matches!(self, Self::Traci(_))
+    }
+
+    /// The kind of failure as one of a fixed, small set of words, fit for a metric's label.
+    #[must_use]
+    pub fn reason(&self) -> &'static str {
+        match self {
+            Self::Locate(_) => "no_sumo",
+            Self::Traci(error) => error.kind().as_str(),
+            Self::Scenario(_) => "scenario",
+            Self::Net(_) => "net",
+            Self::Layout(_) => "layout",
+            Self::Action(_) => "action",
+            Self::NotRunning | Self::EpisodeOver { .. } => "no_episode",
+        }
+    }
 }

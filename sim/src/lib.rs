@@ -9,10 +9,12 @@
 pub mod controller;
 pub mod env;
 pub mod error;
+pub mod evaluate;
 pub mod lanes;
 pub mod layout;
 pub mod metrics;
 pub mod net;
+pub mod observe;
 pub mod scenario;
 pub mod signal;
 pub mod trajectory;

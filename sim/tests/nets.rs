@@ -1,4 +1,5 @@
 //! Nets as they occur and as they should not: what is read, and what is refused with which words.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 mod common;
 

@@ -1,4 +1,5 @@
 //! The scenarios that come with the project, read from the real maps.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use cross_config::EnvConfig;
 use cross_sim::layout::{NetworkLayout, load_layout};

@@ -1,5 +1,325 @@
 //! The environment: one SUMO process, decisions in, observations and rewards out.
+//!
+//! ```text
+//!   actions ──> SignalTiming ──[Show | Run]──> Simulation (SUMO) ──vehicles──> LaneTable ──> observation, rewards
+//!                                                                                       └──> SecondObserver, if one watches
+//! ```
+//! Between decisions SUMO runs several seconds in one command: to the end of yellow where a phase changes, then to the
+//! next decision. Only an episode that is [observed](Env::step_observed) is simulated second by second; what happens in it
+//! is the same.
 
+mod arguments;
 mod observer;
+mod options;
+mod simulation;
 
 pub use observer::{SecondObserver, SecondView};
+pub use options::EnvOptions;
+
+use crate::error::SimError;
+use crate::lanes::LaneTable;
+use crate::layout::{self, NetworkLayout};
+use crate::observe;
+use crate::scenario::Scenario;
+use crate::signal::{Command, SignalTiming};
+use crate::trajectory::Observation;
+use cross_traci::{SumoHome, TraciError};
+use simulation::Simulation;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Where an environment's time went, over all its episodes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Timings {
+    /// Waiting for SUMO to start and to simulate.
+    pub sumo: Duration,
+    /// Setting signals, and turning SUMO's reports into counts.
+    pub traci: Duration,
+}
+
+/// What a step led to; the observation is [`Env::observation`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step<'a> {
+    /// Reward of each agent `[agents]`: minus the vehicles stopped within the reward's range on its incoming lanes.
+    pub rewards: &'a [f32],
+    /// Whether the episode is over. It was cut off by time then, it has no end of its own.
+    pub done: bool,
+}
+
+/// A scenario under control. It owns at most one SUMO process, which ends with it.
+#[derive(Debug)]
+pub struct Env {
+    home: SumoHome,
+    scenario: Scenario,
+    options: EnvOptions,
+    layout: Arc<NetworkLayout>,
+    anchor: String,
+    signals: SignalTiming,
+    lanes: LaneTable,
+    observation: Observation,
+    rewards: Vec<f32>,
+    simulation: Option<Simulation>,
+    time: f64,
+    steps: u32,
+    timings: Timings,
+}
+
+impl Env {
+    /// Prepares a scenario; SUMO starts at [`reset`](Self::reset).
+    ///
+    /// # Errors
+    /// [`SimError::Net`] or [`SimError::Layout`] for a net that cannot be controlled.
+    pub fn new(home: &SumoHome, scenario: &Scenario, options: EnvOptions) -> Result<Self, SimError> {
+        let (net, layout) = layout::read(scenario, &options.config)?;
+        // Any junction will do; the first by name is the same on every machine.
+        let anchor = net.junctions.keys().min().cloned().ok_or_else(|| net.without_junctions())?;
+        let config = &options.config;
+        let mut env = Self {
+            home: home.clone(),
+            scenario: scenario.clone(),
+            anchor,
+            signals: SignalTiming::new(&layout, config.decision_seconds, config.yellow_seconds),
+            lanes: LaneTable::new(&layout, f64::from(config.reward_range_metres)),
+            observation: Observation::default(),
+            rewards: vec![0.0; layout.agents()],
+            simulation: None,
+            time: f64::from(scenario.begin),
+            steps: 0,
+            timings: Timings::default(),
+            layout,
+            options,
+        };
+        env.look();
+        Ok(env)
+    }
+
+    /// The agents.
+    #[must_use]
+    pub fn layout(&self) -> &Arc<NetworkLayout> {
+        &self.layout
+    }
+
+    /// The scenario.
+    #[must_use]
+    pub fn scenario(&self) -> &Scenario {
+        &self.scenario
+    }
+
+    /// The options.
+    #[must_use]
+    pub fn options(&self) -> &EnvOptions {
+        &self.options
+    }
+
+    /// Starts an episode with a SUMO of its own: every agent shows its phase 0 and no vehicle is there yet. An episode
+    /// that is still running is abandoned, its output files unfinished; [`finish`](Self::finish) completes them.
+    ///
+    /// # Errors
+    /// [`SimError::Traci`] if SUMO does not start or refuses the network's signals. The environment can be reset again.
+    pub fn reset(&mut self, seed: u32) -> Result<(), SimError> {
+        self.simulation = None;
+        self.steps = 0;
+        self.time = f64::from(self.scenario.begin);
+        self.lanes.clear();
+        let begun = Instant::now();
+        let started = self.start(seed);
+        self.timings.sumo += begun.elapsed();
+        self.simulation = Some(started?);
+        self.look();
+        Ok(())
+    }
+
+    fn start(&mut self, seed: u32) -> Result<Simulation, TraciError> {
+        let mut simulation =
+            Simulation::start(&self.home, &self.scenario, &self.options, seed, &self.anchor)?;
+        let commands = self.signals.reset();
+        simulation.show(commands.filter_map(|command| shown(&self.layout, command)))?;
+        Ok(simulation)
+    }
+
+    /// What the agents see now.
+    #[must_use]
+    pub fn observation(&self) -> &Observation {
+        &self.observation
+    }
+
+    /// Vehicles on the lanes now.
+    #[must_use]
+    pub fn lanes(&self) -> &LaneTable {
+        &self.lanes
+    }
+
+    /// Simulated time, seconds; begins at the scenario's `begin`.
+    #[must_use]
+    pub fn time(&self) -> f64 {
+        self.time
+    }
+
+    /// Decisions made in this episode.
+    #[must_use]
+    pub fn steps(&self) -> u32 {
+        self.steps
+    }
+
+    /// Process id of the running SUMO.
+    #[must_use]
+    pub fn sumo_pid(&self) -> Option<u32> {
+        self.simulation.as_ref().map(Simulation::pid)
+    }
+
+    /// Where the time went.
+    #[must_use]
+    pub fn timings(&self) -> Timings {
+        self.timings
+    }
+
+    /// Takes one action, a phase index, for each agent, and simulates to the next decision.
+    ///
+    /// # Errors
+    /// [`SimError::Action`] for actions that do not exist, [`SimError::NotRunning`] before a reset,
+    /// [`SimError::EpisodeOver`] after the last step: nothing has changed then. [`SimError::Traci`] if SUMO failed; the
+    /// episode is lost then, SUMO has ended, and the environment can be reset.
+    pub fn step(&mut self, actions: &[u8]) -> Result<Step<'_>, SimError> {
+        self.advance(actions, None)
+    }
+
+    /// As [`step`](Self::step), second by second, each shown to the observer.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step).
+    pub fn step_observed(
+        &mut self,
+        actions: &[u8],
+        observer: &mut dyn SecondObserver,
+    ) -> Result<Step<'_>, SimError> {
+        self.advance(actions, Some(observer))
+    }
+
+    fn advance(
+        &mut self,
+        actions: &[u8],
+        observer: Option<&mut dyn SecondObserver>,
+    ) -> Result<Step<'_>, SimError> {
+        let limit = self.options.config.steps_per_episode();
+        if self.simulation.is_none() {
+            return Err(SimError::NotRunning);
+        }
+        if self.steps >= limit {
+            return Err(SimError::EpisodeOver { steps: limit });
+        }
+        if let Err(error) = self.carry_out(actions, observer) {
+            if error.is_from_sumo() {
+                // Whatever state it is in, it is none that the episode could go on from.
+                self.simulation = None;
+            }
+            return Err(error);
+        }
+        self.steps += 1;
+        let begun = Instant::now();
+        self.look();
+        self.timings.traci += begun.elapsed();
+        Ok(Step { rewards: &self.rewards, done: self.steps >= limit })
+    }
+
+    fn carry_out(
+        &mut self,
+        actions: &[u8],
+        mut observer: Option<&mut dyn SecondObserver>,
+    ) -> Result<(), SimError> {
+        let Some(simulation) = &mut self.simulation else { return Err(SimError::NotRunning) };
+        let (lanes, timings) = (&mut self.lanes, &mut self.timings);
+        let mut states = Vec::new();
+        let commands = self.signals.decide(actions)?;
+        if observer.is_some() {
+            simulation.watch_events()?;
+        }
+        for command in commands {
+            let Command::Run { seconds } = command else {
+                states.extend(shown(&self.layout, command));
+                continue;
+            };
+            timed(&mut timings.traci, || simulation.show(states.drain(..)))?;
+            match &mut observer {
+                None => timed(&mut timings.sumo, || simulation.run(seconds))?,
+                Some(observer) => {
+                    for _ in 0..seconds {
+                        timed(&mut timings.sumo, || simulation.run(1))?;
+                        observe_second(simulation, lanes, timings, &mut **observer)?;
+                    }
+                }
+            }
+        }
+        self.time = simulation.time();
+        if observer.is_none() {
+            timed(&mut timings.traci, || simulation.count(lanes))?;
+        }
+        Ok(())
+    }
+
+    /// Brings observation and rewards up to the lane counts.
+    fn look(&mut self) {
+        observe::observe(&self.lanes, self.options.config.detection, &mut self.observation.counts);
+        self.observation.phases.clear();
+        self.observation.phases.extend_from_slice(self.signals.phases());
+        observe::rewards(&self.lanes, &mut self.rewards);
+    }
+
+    /// Ends SUMO in order, so that its output files are complete; nothing to do if none is running. The environment can
+    /// be reset for another episode.
+    ///
+    /// # Errors
+    /// [`SimError::Traci`] if SUMO does not end well; it has ended all the same.
+    pub fn finish(&mut self) -> Result<(), SimError> {
+        if let Some(simulation) = self.simulation.take() {
+            let report = timed(&mut self.timings.sumo, || simulation.close())?;
+            for line in report.last_lines {
+                tracing::debug!(scenario = %self.scenario.name, line, "SUMO said");
+            }
+        }
+        Ok(())
+    }
+
+    /// [`finish`](Self::finish)es and gives the environment up.
+    ///
+    /// # Errors
+    /// As [`finish`](Self::finish).
+    pub fn close(mut self) -> Result<(), SimError> {
+        self.finish()
+    }
+}
+
+fn shown<'a>(layout: &'a NetworkLayout, command: Command<'a>) -> Option<simulation::Shown<'a>> {
+    match command {
+        Command::Show { agent, state } => Some((&layout.intersections[agent].id, state)),
+        Command::Run { .. } => None,
+    }
+}
+
+fn observe_second(
+    simulation: &mut Simulation,
+    lanes: &mut LaneTable,
+    timings: &mut Timings,
+    observer: &mut dyn SecondObserver,
+) -> Result<(), TraciError> {
+    let (traffic, events) = timed(&mut timings.traci, || -> Result<_, TraciError> {
+        Ok((simulation.count(lanes)?, simulation.events()?))
+    })?;
+    observer.second(&SecondView {
+        time: simulation.time(),
+        lanes,
+        running: traffic.running,
+        mean_speed: traffic.mean_speed,
+        arrived: events.arrived,
+        departed: events.departed,
+        teleports: events.teleports,
+        waiting_to_enter: events.waiting_to_enter,
+    });
+    Ok(())
+}
+
+fn timed<T>(total: &mut Duration, work: impl FnOnce() -> T) -> T {
+    let begun = Instant::now();
+    let result = work();
+    *total += begun.elapsed();
+    result
+}

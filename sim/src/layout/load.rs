@@ -12,6 +12,11 @@ use std::sync::Arc;
 /// # Errors
 /// [`SimError::Net`] or [`SimError::Layout`].
 pub fn load_layout(scenario: &Scenario, env: &EnvConfig) -> Result<Arc<NetworkLayout>, SimError> {
+    Ok(read(scenario, env)?.1)
+}
+
+/// As [`load_layout`], with the net itself.
+pub(crate) fn read(scenario: &Scenario, env: &EnvConfig) -> Result<(Net, Arc<NetworkLayout>), SimError> {
     let net = Net::read(&scenario.net)?;
     let layout = NetworkLayout::from_net(&net, env)?;
     let fixed = NetworkLayout::fixed_signals(&net);
@@ -24,5 +29,5 @@ pub fn load_layout(scenario: &Scenario, env: &EnvConfig) -> Result<Arc<NetworkLa
             "traffic lights without two green phases keep their own program and are no agents"
         );
     }
-    Ok(Arc::new(layout))
+    Ok((net, Arc::new(layout)))
 }

@@ -16,6 +16,7 @@ mod load;
 pub use error::LayoutError;
 pub use extract::FixedSignal;
 pub use load::load_layout;
+pub(crate) use load::read;
 
 use serde::Serialize;
 use sha2::{Digest, Sha256};

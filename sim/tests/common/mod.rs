@@ -1,5 +1,5 @@
 //! Small nets written by hand.
-#![allow(dead_code, reason = "each test file uses its own part")]
+#![allow(dead_code, clippy::unwrap_used, reason = "each test file uses its own part, and may panic")]
 
 use std::fmt::Write;
 

@@ -1,0 +1,102 @@
+//! Scenario definitions: what they may say, where they are found, and how their mistakes are reported.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
+use cross_sim::scenario::{Scenario, ScenarioError, ScenarioPath};
+use std::path::Path;
+
+const NET: &str = "<net/>";
+const ROUTES: &str = "<routes>\n\
+    <vehicle id=\"early\" depart=\"50\"/><vehicle id=\"a\" depart=\"100\"/><trip id=\"b\" depart=\"120.5\"/>\n\
+    <flow id=\"c\" number=\"7\" begin=\"100\" end=\"200\"/>\n\
+    <flow id=\"d\" vehsPerHour=\"360\" begin=\"0\" end=\"150\"/>\n\
+    <flow id=\"e\" period=\"2\" begin=\"100\" end=\"110\"/><flow id=\"f\" probability=\"0.5\" begin=\"100\" end=\"104\"/>\n\
+    </routes>";
+const DEFINITION: &str = "net = \"town.net.xml\"\nroutes = [\"town.rou.xml\"]\nbegin = 100\nend = 200\n";
+
+/// A scenarios folder with one scenario, `town`.
+fn folder(definition: &str) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let town = folder.path().join("town");
+    std::fs::create_dir(&town).unwrap();
+    std::fs::write(town.join("scenario.toml"), definition).unwrap();
+    std::fs::write(town.join("town.net.xml"), NET).unwrap();
+    std::fs::write(town.join("town.rou.xml"), ROUTES).unwrap();
+    folder
+}
+
+fn load(definition: &str) -> Result<Scenario, ScenarioError> {
+    Scenario::from_directory(&folder(definition).path().join("town"))
+}
+
+#[test]
+fn a_short_definition_has_the_defaults_that_published_numbers_need() {
+    let folder = folder(DEFINITION);
+    let scenario = ScenarioPath::locate(Some(folder.path())).load("town").unwrap();
+    assert_eq!((scenario.name.as_str(), scenario.begin, scenario.end), ("town", 100, 200));
+    assert_eq!(scenario.sumo.time_to_teleport, -1.0);
+    assert_eq!((scenario.sumo.depart_speed.as_str(), scenario.sumo.depart_lane.as_str()), ("0", "first"));
+    assert_eq!(scenario.net, folder.path().join("town/town.net.xml"));
+    assert_eq!(scenario.net_hash.len(), 64);
+}
+
+#[test]
+fn a_directory_loads_as_well_as_a_name() {
+    let folder = folder(DEFINITION);
+    let town = folder.path().join("town");
+    assert_eq!(Scenario::load(town.to_str().unwrap()).unwrap().name, "town");
+}
+
+#[test]
+fn files_decide_the_hashes() {
+    let folder = folder(DEFINITION);
+    let town = folder.path().join("town");
+    let before = Scenario::from_directory(&town).unwrap();
+    std::fs::write(town.join("town.rou.xml"), "<routes/>").unwrap();
+    let after = Scenario::from_directory(&town).unwrap();
+    assert_eq!(before.net_hash, after.net_hash);
+    assert_ne!(before.demand_hash, after.demand_hash);
+}
+
+#[test]
+fn vehicles_trips_and_flows_are_counted_between_begin_and_end() {
+    let folder = folder(DEFINITION);
+    let scenario = Scenario::from_directory(&folder.path().join("town")).unwrap();
+    // a, b; 7 of c; 50 s of d at one in ten seconds; 5 of e; 2 of f.
+    assert_eq!(scenario.vehicles().unwrap(), 2 + 7 + 5 + 5 + 2);
+}
+
+#[test]
+fn mistakes_name_file_and_key() {
+    for (definition, words) in [
+        (DEFINITION.replace("routes", "route"), "route"),
+        (format!("{DEFINITION}[sumo]\nteleport = 3\n"), "teleport"),
+        (format!("{DEFINITION}[reference.max_pressure]\noutgoing = \"none\"\n"), "none"),
+        (DEFINITION.replace("end = 200", "end = 100"), "end is 100"),
+        (DEFINITION.replace("[\"town.rou.xml\"]", "[]"), "routes is empty"),
+        (DEFINITION.replace("net = ", "net "), "line 1"),
+    ] {
+        let error = load(&definition).unwrap_err();
+        assert!(matches!(error, ScenarioError::Parse { .. }), "{error}");
+        let error = error.to_string();
+        assert!(error.contains("scenario.toml") && error.contains(words), "{error}");
+    }
+}
+
+#[test]
+fn missing_files_say_what_to_do() {
+    let error = load(&DEFINITION.replace("town.net.xml", "gone.net.xml")).unwrap_err().to_string();
+    assert!(error.contains("\"town\"") && error.contains("gone.net.xml"), "{error}");
+    let error = load(&DEFINITION.replace("town.net.xml", "@deps/nowhere/at.all")).unwrap_err().to_string();
+    assert!(error.contains(".deps/nowhere/at.all") && error.contains("make build"), "{error}");
+}
+
+#[test]
+fn an_unknown_name_lists_the_known_ones() {
+    let folder = folder(DEFINITION);
+    let error = ScenarioPath::locate(Some(folder.path())).load("city").unwrap_err().to_string();
+    assert!(error.contains("\"city\"") && error.contains("town") && error.contains("grid4x4"), "{error}");
+    for odd in ["", "../..", "/", "a/b"] {
+        assert!(Scenario::load(odd).is_err(), "{odd:?}");
+    }
+    assert!(matches!(Scenario::from_directory(Path::new("/nowhere")), Err(ScenarioError::Read { .. })));
+}
