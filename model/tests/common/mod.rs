@@ -4,7 +4,11 @@
 //! the reward is minus what the chosen phase leaves standing, so the best policy serves the longest queue.
 
 #![allow(dead_code, unreachable_pub, reason = "each test file uses its own part")]
-#![allow(clippy::unwrap_used, clippy::too_many_arguments, reason = "helpers of tests, outside #[test] functions")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::too_many_arguments,
+    reason = "helpers of tests, outside #[test] functions"
+)]
 
 use cross_config::Config;
 use cross_model::{ActMode, Policy, Trainer};
