@@ -3,6 +3,7 @@
 //! Commands parse, check and print; what they do lives in the crates they call.
 
 mod commands;
+mod evaluate;
 mod failure;
 mod learned;
 mod output;

@@ -2,17 +2,14 @@
 
 use crate::failure::{Failure, OrBadInput, Outcome};
 use crate::learned::Learned;
-use crate::train::run_dir::latest_checkpoint;
 use anyhow::Context;
 use cross_config::EnvConfig;
+use cross_learner::checkpoint::reader;
 use cross_model::Policy;
 use cross_sim::controller::{Controller, RuleBased};
 use cross_sim::scenario::Scenario;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
-
-/// A policy file inside a checkpoint.
-pub(crate) const MODEL_FILE: &str = "model.safetensors";
 
 /// A policy from which every worker makes a controller of its own.
 #[derive(Debug, Clone)]
@@ -32,14 +29,12 @@ pub(crate) struct Weights {
 }
 
 impl Weights {
-    /// Reads and checks a policy file.
-    pub(crate) fn read(name: &str, file: &Path) -> Outcome<Self> {
-        let bytes = std::fs::read(file)
-            .with_context(|| format!("cannot read the policy {}", file.display()))
-            .or_bad_input()?;
+    /// Reads and checks what a path stands for: a run directory (its newest checkpoint), a checkpoint, or a policy file.
+    pub(crate) fn read(name: &str, path: &Path) -> Outcome<Self> {
+        let (_, bytes) = reader::load_policy(path).or_bad_input()?;
         let policy = Policy::from_snapshot(&bytes)
             .map_err(anyhow::Error::from)
-            .with_context(|| format!("cannot use the policy {}", file.display()))
+            .with_context(|| format!("cannot use the policy {}", path.display()))
             .or_bad_input()?;
         Ok(Self { name: name.to_owned(), env: policy.env().clone(), bytes: bytes.into() })
     }
@@ -52,16 +47,21 @@ impl PolicySpec {
             return Ok(Self::Rule(rule));
         }
         let path = Path::new(text);
-        let Some(file) = policy_file(path) else {
-            return Err(Failure::input(match path.is_dir() {
-                true => format!("{text} holds neither {MODEL_FILE} nor checkpoints; name a checkpoint or a run directory"),
-                false => format!(
-                    "there is no policy {text}; choose one of {}, or name a checkpoint, a run directory or a {MODEL_FILE}",
-                    RuleBased::names().join(", ")
-                ),
-            }));
-        };
-        Weights::read(text.trim_end_matches('/'), &file).map(Self::Learned)
+        if !path.exists() {
+            return Err(Failure::input(format!(
+                "there is no policy {text}; choose one of {}, or name a checkpoint, a run directory or a policy file",
+                RuleBased::names().join(", ")
+            )));
+        }
+        Weights::read(text.trim_end_matches('/'), path).map(Self::Learned)
+    }
+
+    /// What reports call it.
+    pub(crate) fn name(&self) -> &str {
+        match self {
+            Self::Rule(rule) => rule.name(),
+            Self::Learned(weights) => &weights.name,
+        }
     }
 
     /// The environment that it must be evaluated in, if it has one of its own.
@@ -83,22 +83,6 @@ impl PolicySpec {
     }
 }
 
-/// The policy file that a path means.
-fn policy_file(path: &Path) -> Option<PathBuf> {
-    if path.is_file() {
-        return Some(path.to_owned());
-    }
-    let direct = path.join(MODEL_FILE);
-    if direct.is_file() {
-        return Some(direct);
-    }
-    // A run directory, or its folder of checkpoints.
-    [path.join("checkpoints"), path.to_owned()].into_iter().find_map(|checkpoints| {
-        let file = checkpoints.join(latest_checkpoint(&checkpoints)?).join(MODEL_FILE);
-        file.is_file().then_some(file)
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -109,27 +93,14 @@ mod tests {
     }
 
     #[test]
-    fn a_run_directory_means_its_newest_checkpoint() {
-        let directory = tempfile::tempdir().unwrap();
-        let checkpoints = directory.path().join("checkpoints");
-        std::fs::create_dir_all(checkpoints.join("000002")).unwrap();
-        std::fs::write(checkpoints.join("latest"), "000002\n").unwrap();
-        let file = checkpoints.join("000002").join(MODEL_FILE);
-        std::fs::write(&file, "").unwrap();
-        for path in [directory.path(), &checkpoints, &checkpoints.join("000002"), &file] {
-            assert_eq!(policy_file(path).as_ref(), Some(&file));
-        }
-    }
-
-    #[test]
     fn what_is_no_policy_is_bad_input() {
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("x");
         std::fs::write(&file, "not weights").unwrap();
         for (text, part) in [
             ("max-presure", "max-pressure"),
-            (directory.path().to_str().unwrap(), "neither"),
-            (file.to_str().unwrap(), "cannot use the policy"),
+            (directory.path().to_str().unwrap(), "metadata.json"),
+            (file.to_str().unwrap(), file.to_str().unwrap()),
         ] {
             let failure = PolicySpec::parse(text).unwrap_err();
             assert_eq!(failure.code(), crate::failure::BAD_INPUT);

@@ -124,7 +124,8 @@ fn list(json: bool) -> Outcome<()> {
     let width = listed.iter().map(|entry| entry.name.len()).max().unwrap_or(0);
     let mut text = String::new();
     for entry in &listed {
-        let what = entry.problem.as_ref().map_or_else(|| entry.description.clone(), |p| format!("not usable: {p}"));
+        let what =
+            entry.problem.as_ref().map_or_else(|| entry.description.clone(), |p| format!("not usable: {p}"));
         let _ = writeln!(text, "{:width$}  {what}", entry.name);
     }
     if listed.is_empty() {
@@ -151,11 +152,7 @@ fn gather(name: &str) -> Outcome<Info> {
         vehicles: definition.vehicles().or_bad_input()?,
         begin_seconds: definition.begin,
         duration_seconds: definition.end - definition.begin,
-        hashes: Hashes {
-            net: definition.net_hash,
-            demand: definition.demand_hash,
-            layout: layout.hash(),
-        },
+        hashes: Hashes { net: definition.net_hash, demand: definition.demand_hash, layout: layout.hash() },
         name: definition.name,
         description: definition.description,
         source: definition.source,

@@ -96,7 +96,7 @@ impl Train {
         };
         let mut progress = Progress::new(!self.no_progress);
         let trained = run::run(&run, &plan, &watch, &mut progress)?;
-        let mut summary = Summary::new(&run, &config, trained.interrupted, trained.status.as_ref());
+        let mut summary = Summary::new(&run, &config, trained.interrupted);
         if trained.killed {
             return Err(Failure::failed(format!(
                 "killed before the learner could write a checkpoint; continue from its newest one with {}",
@@ -228,7 +228,8 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("c.toml");
         std::fs::write(&file, "seed = 9\nupdates = 50\n").unwrap();
-        let train = parse(&["--config", file.to_str().unwrap(), "--updates", "7", "--scenario", "arterial4x4"]);
+        let train =
+            parse(&["--config", file.to_str().unwrap(), "--updates", "7", "--scenario", "arterial4x4"]);
         let config = train.resolve(None).unwrap();
         assert_eq!((config.seed, config.updates), (9, 7));
         assert_eq!(config.scenarios, ["arterial4x4"]);
@@ -256,7 +257,10 @@ mod tests {
     fn a_scenario_by_path_becomes_absolute_and_a_name_stays() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("..").join(directory.path().file_name().unwrap());
-        assert_eq!(absolute(path.to_str().unwrap()), directory.path().canonicalize().unwrap().display().to_string());
+        assert_eq!(
+            absolute(path.to_str().unwrap()),
+            directory.path().canonicalize().unwrap().display().to_string()
+        );
         assert_eq!(absolute("grid4x4"), "grid4x4");
         assert_eq!(absolute("no/such/place"), "no/such/place");
     }

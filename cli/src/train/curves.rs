@@ -62,7 +62,17 @@ fn read(text: &str) -> [Curves; 3] {
             add(2, name, loss);
         }
     }
+    let [_, _, losses] = &mut panels;
+    *losses = totals(std::mem::take(losses));
     panels
+}
+
+/// The total of each network where there are totals: a dozen terms of different size would hide each other.
+fn totals(losses: Curves) -> Curves {
+    let total =
+        |(name, line): (&String, &Vec<_>)| Some((name.strip_suffix("_total")?.to_owned(), line.clone()));
+    let totals: Curves = losses.iter().filter_map(total).collect();
+    if totals.is_empty() { losses } else { totals }
 }
 
 fn render(panels: &[(&str, Curves)]) -> Result<String, Box<dyn std::error::Error>> {
@@ -131,8 +141,8 @@ fn span(values: impl Iterator<Item = f64>) -> Range<f64> {
 mod tests {
     use super::*;
 
-    const LINES: &str = r#"{"update":1,"scenarios":{"grid4x4":{"episode_return":-80.5,"queue_length":1.5}},"losses":{"actor":0.5}}
-{"update":2,"scenarios":{"grid4x4":{"episode_return":-40.0,"queue_length":null}},"losses":{"actor":0.25}}
+    const LINES: &str = r#"{"update":1,"scenarios":{"grid4x4":{"episode_return":-80.5,"queue_length":1.5}},"losses":{"actor_total":0.5,"actor_entropy":1}}
+{"update":2,"scenarios":{"grid4x4":{"episode_return":-40.0,"queue_length":null}},"losses":{"actor_total":0.25}}
 {"update":3,"scen"#;
 
     #[test]
@@ -141,6 +151,7 @@ mod tests {
         assert_eq!(returns["grid4x4"], [(1.0, -80.5), (2.0, -40.0)]);
         assert_eq!(queues["grid4x4"], [(1.0, 1.5)]);
         assert_eq!(losses["actor"], [(1.0, 0.5), (2.0, 0.25)]);
+        assert_eq!(losses.len(), 1);
     }
 
     #[test]

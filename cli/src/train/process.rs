@@ -20,7 +20,10 @@ pub(crate) fn sibling(name: &str) -> Outcome<PathBuf> {
     if path.is_file() {
         Ok(path)
     } else {
-        Err(Failure::failed(format!("{} is not there; build the whole project with `make build`", path.display())))
+        Err(Failure::failed(format!(
+            "{} is not there; build the whole project with `make build`",
+            path.display()
+        )))
     }
 }
 

@@ -1,10 +1,12 @@
 //! Progress that a person can read: a live display on a terminal, plain lines elsewhere.
 
+use crate::evaluate::Episodes;
 use cross_proto::v1::TrainingStatus;
 use cross_proto::v1::training_status::Phase;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Between two plain lines.
@@ -26,21 +28,27 @@ enum Display {
     Silent,
 }
 
+impl Display {
+    fn new(wanted: bool, template: &str) -> Self {
+        if !wanted {
+            return Self::Silent;
+        }
+        if !std::io::stderr().is_terminal() {
+            return Self::Lines { last: None };
+        }
+        let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
+        // The templates are constants; an unusable one would fall back to the default.
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            bar.set_style(style);
+        }
+        bar.enable_steady_tick(Duration::from_millis(500));
+        Self::Live(bar)
+    }
+}
+
 impl Progress {
     pub(crate) fn new(wanted: bool) -> Self {
-        let display = if !wanted {
-            Display::Silent
-        } else if std::io::stderr().is_terminal() {
-            let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
-            // The template is a constant; an unusable one would fall back to the default.
-            if let Ok(style) = ProgressStyle::with_template("{wide_bar:.green} {pos}/{len} updates\n{msg}") {
-                bar.set_style(style);
-            }
-            bar.enable_steady_tick(Duration::from_millis(500));
-            Display::Live(bar)
-        } else {
-            Display::Lines { last: None }
-        };
+        let display = Display::new(wanted, "{wide_bar:.green} {pos}/{len} updates\n{msg}");
         Self { display, started: Instant::now(), first_updates: None }
     }
 
@@ -81,6 +89,49 @@ impl Progress {
     pub(crate) fn finish(&self) {
         if let Display::Live(bar) = &self.display {
             bar.abandon();
+        }
+    }
+}
+
+/// Progress of an evaluation, shown from several threads.
+#[derive(Debug)]
+pub(crate) struct EpisodeProgress {
+    display: Mutex<Display>,
+}
+
+impl EpisodeProgress {
+    pub(crate) fn new(wanted: bool) -> Self {
+        let template = "{wide_bar:.green} {pos}/{len} episodes evaluated";
+        Self { display: Mutex::new(Display::new(wanted, template)) }
+    }
+
+    /// Called after every decision of every episode, so it does little.
+    pub(crate) fn show(&self, episodes: Episodes) {
+        // Whoever else is showing says the same.
+        let Ok(mut display) = self.display.try_lock() else { return };
+        match &mut *display {
+            Display::Live(bar) => {
+                bar.set_length(episodes.all as u64);
+                bar.set_position(episodes.finished as u64);
+            }
+            Display::Lines { last } => {
+                let now = Instant::now();
+                if last.is_none_or(|(when, _)| now.duration_since(when) >= LINE_EVERY) {
+                    // The first line would only say that nothing is done yet.
+                    if last.is_some() {
+                        say(&format!("evaluated {} of {} episodes", episodes.finished, episodes.all));
+                    }
+                    *last = Some((now, 0));
+                }
+            }
+            Display::Silent => {}
+        }
+    }
+
+    /// Takes the bar off the screen: the table follows.
+    pub(crate) fn finish(&self) {
+        if let Display::Live(bar) = &*self.display.lock().unwrap_or_else(PoisonError::into_inner) {
+            bar.finish_and_clear();
         }
     }
 }
@@ -149,7 +200,11 @@ fn scenario_text(scenario: &cross_proto::v1::ScenarioStatus) -> String {
 pub(crate) fn headline_losses(status: &TrainingStatus) -> Vec<(&str, f64)> {
     let mut losses: Vec<_> = status.losses.iter().map(|(name, &loss)| (name.as_str(), loss)).collect();
     losses.sort_by(|a, b| a.0.cmp(b.0));
-    let totals: Vec<_> = losses.iter().copied().filter(|(name, _)| ["actor", "critic"].contains(name)).collect();
+    let totals: Vec<_> = losses
+        .iter()
+        .copied()
+        .filter_map(|(name, loss)| Some((name.strip_suffix("_total")?, loss)))
+        .collect();
     if totals.is_empty() { losses.into_iter().take(3).collect() } else { totals }
 }
 
@@ -216,7 +271,7 @@ mod tests {
                 queue_length: 0.4217,
                 ..Default::default()
             }],
-            losses: [("actor", 0.5), ("critic", 0.25), ("entropy", 1.0)]
+            losses: [("actor_total", 0.5), ("critic_total", 0.25), ("actor_entropy", 1.0)]
                 .into_iter()
                 .map(|(name, loss)| (name.to_owned(), loss))
                 .collect(),

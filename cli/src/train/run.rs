@@ -7,7 +7,6 @@ use super::run_dir::RunDir;
 use super::supervise::{Cause, Command, Ending, Event, Limits, Supervisor};
 use super::watch::Watch;
 use crate::failure::{Failure, Outcome};
-use cross_proto::v1::TrainingStatus;
 use cross_proto::v1::training_status::Phase;
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -17,8 +16,8 @@ use std::time::{Duration, Instant};
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// What a drain may take beyond the learner's own limit: the update in progress, and the checkpoint.
 const DRAIN_MARGIN: Duration = Duration::from_secs(60);
-/// How long actors may take to end once the learner has.
-const ACTOR_GRACE: Duration = Duration::from_secs(3);
+/// How long actors may take to end once the learner has: a little beyond their own grace period.
+const ACTOR_GRACE: Duration = Duration::from_secs(12);
 
 /// What the loop needs to know.
 #[derive(Debug)]
@@ -37,8 +36,6 @@ pub(crate) struct Trained {
     pub(crate) interrupted: bool,
     /// Ctrl-C twice: nothing was drained.
     pub(crate) killed: bool,
-    /// The newest status the learner gave; none if it never got to that.
-    pub(crate) status: Option<TrainingStatus>,
 }
 
 struct Cluster<'a> {
@@ -74,12 +71,11 @@ pub(crate) fn run(run: &RunDir, plan: &Plan, watch: &Watch, progress: &mut Progr
         actor_words: None,
     };
     let started = Instant::now();
-    let mut newest = None;
     let mut commands = supervisor.start();
     loop {
         if let Some(ending) = cluster.carry_out(commands, watch, progress)? {
             progress.finish();
-            return cluster.conclude(ending, newest);
+            return cluster.conclude(ending);
         }
         let (status, stops) = watch.wait(LOOK_EVERY);
         let now = started.elapsed();
@@ -92,7 +88,6 @@ pub(crate) fn run(run: &RunDir, plan: &Plan, watch: &Watch, progress: &mut Progr
                 commands.extend(supervisor.handle(now, Event::LearnerLeaving));
             }
             progress.show(&status, supervisor.actors_alive());
-            newest = Some(status);
         }
         for event in cluster.look() {
             commands.extend(supervisor.handle(now, event));
@@ -191,7 +186,7 @@ impl Cluster<'_> {
             listen.into(),
         ];
         // A learner that died before its first checkpoint has nothing to go on from.
-        if (self.plan.resume || again) && self.run.has_checkpoint() {
+        if (self.plan.resume || again) && self.run.has_checkpoints() {
             arguments.push("--resume".into());
         }
         self.learner = Some(Process::start(&self.learner_program, &arguments, &self.run.log("learner"))?);
@@ -217,15 +212,15 @@ impl Cluster<'_> {
 
     /// Updates that the newest checkpoint holds.
     fn updates_on_disk(&self) -> u64 {
-        super::run_dir::checkpointed_updates(&self.run.checkpoints()).unwrap_or(0)
+        self.run.newest_checkpoint().map_or(0, |(_, metadata)| metadata.updates)
     }
 
     /// The result, or the sentence that says why there is none.
-    fn conclude(self, ending: Ending, status: Option<TrainingStatus>) -> Outcome<Trained> {
+    fn conclude(self, ending: Ending) -> Outcome<Trained> {
         let cause = match ending {
-            Ending::Complete => return Ok(Trained { interrupted: false, killed: false, status }),
-            Ending::Interrupted => return Ok(Trained { interrupted: true, killed: false, status }),
-            Ending::Killed => return Ok(Trained { interrupted: true, killed: true, status }),
+            Ending::Complete => return Ok(Trained { interrupted: false, killed: false }),
+            Ending::Interrupted => return Ok(Trained { interrupted: true, killed: false }),
+            Ending::Killed => return Ok(Trained { interrupted: true, killed: true }),
             Ending::Failed(cause) => cause,
         };
         let log = |process: &str| self.run.log(process).display().to_string();
@@ -238,16 +233,17 @@ impl Cluster<'_> {
         Err(match cause {
             // The process has said all that is to say, in a sentence of its own.
             Cause::LearnerInput => Failure::input(
-                self.learner_words.clone().unwrap_or_else(|| format!("the learner refused its input; see {}", log("learner"))),
+                self.learner_words
+                    .clone()
+                    .unwrap_or_else(|| format!("the learner refused its input; see {}", log("learner"))),
             ),
-            Cause::ActorInput { actor } => {
-                Failure::input(self.actor_words.clone().unwrap_or_else(|| {
-                    format!("actor {actor} refused its input; see {}", log(&format!("actor-{actor}")))
-                }))
-            }
-            Cause::LearnerNeverReady(exit) => {
-                Failure::failed(format!("the learner {exit} before it served: {learner}see {}", log("learner")))
-            }
+            Cause::ActorInput { actor } => Failure::input(self.actor_words.clone().unwrap_or_else(|| {
+                format!("actor {actor} refused its input; see {}", log(&format!("actor-{actor}")))
+            })),
+            Cause::LearnerNeverReady(exit) => Failure::failed(format!(
+                "the learner {exit} before it served: {learner}see {}",
+                log("learner")
+            )),
             Cause::LearnerRestarts { exit, per_minute } => Failure::failed(format!(
                 "the learner {exit}, after {per_minute} restarts within a minute: {learner}see {}",
                 log("learner")

@@ -13,6 +13,7 @@
 
 use crate::failure::{Failure, Outcome};
 use anyhow::Context;
+use cross_learner::checkpoint::{FOLDER, LATEST_FILE, Metadata, reader};
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -94,10 +95,6 @@ impl RunDir {
         self.path.join("learner.json")
     }
 
-    pub(crate) fn checkpoints(&self) -> PathBuf {
-        self.path.join("checkpoints")
-    }
-
     pub(crate) fn metrics(&self) -> PathBuf {
         self.path.join("metrics.jsonl")
     }
@@ -114,9 +111,16 @@ impl RunDir {
         self.path.join("logs").join(format!("{process}.log"))
     }
 
-    /// Whether there is a checkpoint to go on from.
-    pub(crate) fn has_checkpoint(&self) -> bool {
-        self.checkpoints().join("latest").is_file()
+    /// The checkpoint that was written last, if there is one that can be read.
+    pub(crate) fn newest_checkpoint(&self) -> Option<(PathBuf, Metadata)> {
+        let path = reader::find(&self.path, LATEST_FILE).ok()?;
+        let metadata = reader::metadata(&path).ok()?;
+        Some((path, metadata))
+    }
+
+    /// Whether there is anything to go on from, sound or not: which it is, the learner finds out and says.
+    pub(crate) fn has_checkpoints(&self) -> bool {
+        reader::list(&self.path).map_or(true, |list| !list.is_empty())
     }
 }
 
@@ -129,21 +133,8 @@ pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Outcome<()> {
     Ok(())
 }
 
-/// Id of the newest checkpoint in a directory of checkpoints.
-pub(crate) fn latest_checkpoint(checkpoints: &Path) -> Option<String> {
-    let id = std::fs::read_to_string(checkpoints.join("latest")).ok()?;
-    Some(id.trim().to_owned()).filter(|id| !id.is_empty())
-}
-
-/// Updates that the newest checkpoint holds.
-pub(crate) fn checkpointed_updates(checkpoints: &Path) -> Option<u64> {
-    let metadata = checkpoints.join(latest_checkpoint(checkpoints)?).join("metadata.json");
-    let metadata: serde_json::Value = serde_json::from_slice(&std::fs::read(metadata).ok()?).ok()?;
-    metadata["updates"].as_u64()
-}
-
 fn holds_run(path: &Path) -> bool {
-    path.join("config.toml").exists() || path.join("checkpoints").exists()
+    path.join("config.toml").exists() || path.join(FOLDER).exists()
 }
 
 /// `runs/20260131-235959`, with a number after it where that is taken.

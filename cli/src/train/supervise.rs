@@ -181,7 +181,9 @@ impl Supervisor {
         match event {
             Event::LearnerReady => self.learner_ready(&mut commands),
             Event::LearnerLeaving => self.learner_leaving = true,
-            Event::LearnerExited { exit, complete } => self.learner_exited(now, exit, complete, &mut commands),
+            Event::LearnerExited { exit, complete } => {
+                self.learner_exited(now, exit, complete, &mut commands)
+            }
             Event::ActorExited { actor, exit } => self.actor_exited(now, actor, exit, &mut commands),
             Event::StopAsked => self.stop_asked(now, &mut commands),
             Event::Tick => self.tick(now, &mut commands),
@@ -210,7 +212,8 @@ impl Supervisor {
             Phase::Running => {}
             Phase::Stopping { .. } => {
                 // A stop that came after the last update interrupted nothing.
-                if complete && let Phase::Stopping { ending: ending @ Ending::Interrupted, .. } = &mut self.phase
+                if complete
+                    && let Phase::Stopping { ending: ending @ Ending::Interrupted, .. } = &mut self.phase
                 {
                     *ending = Ending::Complete;
                 }
