@@ -1,0 +1,235 @@
+//! Several policies side by side, for people.
+
+use super::report::{EvalReport, Protocol};
+use crate::metrics::{Better, Metric};
+use std::fmt::Write;
+
+/// Metrics that a table shows, papers' six first.
+const SHOWN: [Metric; 8] = [
+    Metric::QueueLength,
+    Metric::Speed,
+    Metric::TripCompletionRate,
+    Metric::TripTime,
+    Metric::TripDelay,
+    Metric::TripDuration,
+    Metric::TimeLoss,
+    Metric::Stops,
+];
+
+/// A table for each scenario: one column for each of its reports, one row for each metric; the best value of a row bears
+/// a star. A cell is the mean over seeds and, after ±, the deviation within an episode.
+#[must_use]
+pub fn table(reports: &[EvalReport]) -> String {
+    let mut scenarios: Vec<&str> = Vec::new();
+    for report in reports {
+        if !scenarios.contains(&report.scenario.as_str()) {
+            scenarios.push(&report.scenario);
+        }
+    }
+    let tables = scenarios.into_iter().map(|scenario| {
+        let of_scenario: Vec<_> = reports.iter().filter(|report| report.scenario == scenario).collect();
+        scenario_table(scenario, &of_scenario)
+    });
+    tables.collect::<Vec<_>>().join("\n")
+}
+
+fn scenario_table(scenario: &str, reports: &[&EvalReport]) -> String {
+    let mut rows = vec![header(reports)];
+    rows.extend(SHOWN.map(|metric| metric_row(metric, reports)));
+    rows.extend(vehicle_rows(reports));
+    if reports.iter().any(|report| !report.gridlocked_seeds.is_empty()) {
+        let cells = reports.iter().map(|report| {
+            let seeds: Vec<_> = report.gridlocked_seeds.iter().map(u32::to_string).collect();
+            if seeds.is_empty() { "-".to_owned() } else { seeds.join(",") }
+        });
+        rows.push(row("gridlock in seed", cells));
+    }
+    format!("{}\n{}", title(scenario, reports), aligned(&rows))
+}
+
+fn row(name: &str, cells: impl Iterator<Item = String>) -> Vec<String> {
+    std::iter::once(name.to_owned()).chain(cells).collect()
+}
+
+fn header(reports: &[&EvalReport]) -> Vec<String> {
+    row("", reports.iter().map(|report| report.policy.clone()))
+}
+
+fn metric_row(metric: Metric, reports: &[&EvalReport]) -> Vec<String> {
+    let (arrow, sign) = match metric.better() {
+        Better::Lower => ('↓', 1.0),
+        Better::Higher => ('↑', -1.0),
+    };
+    let digits = metric.digits();
+    // Compared as printed: of two equal figures neither is the better one.
+    let figures: Vec<_> =
+        reports.iter().map(|report| format!("{:.digits$}", report.get(metric).mean)).collect();
+    let value = |figure: &String| figure.parse::<f64>().map_or(f64::INFINITY, |value| sign * value);
+    let best = figures.iter().map(value).fold(f64::INFINITY, f64::min);
+    let cells = reports.iter().zip(&figures).map(|(report, figure)| {
+        let star = if reports.len() > 1 && value(figure) <= best { '*' } else { ' ' };
+        format!("{figure}{star} ±{:.digits$}", report.get(metric).std)
+    });
+    let unit = match metric.unit() {
+        "1" => String::new(),
+        unit => format!(" ({unit})"),
+    };
+    row(&format!("{}{unit} {arrow}", metric.name()), cells)
+}
+
+fn vehicle_rows(reports: &[&EvalReport]) -> [Vec<String>; 4] {
+    let counts = |name: &str, count: fn(&EvalReport) -> f64| {
+        row(name, reports.iter().map(|report| format!("{:.1}", count(report))))
+    };
+    [
+        counts("finished", |report| report.vehicles.finished),
+        counts("unfinished", |report| report.vehicles.unfinished),
+        counts("never inserted", |report| report.vehicles.never_inserted),
+        counts("teleports", |report| report.vehicles.teleports),
+    ]
+}
+
+/// Scenario, and what all columns have in common; what they do not is said to differ rather than left out.
+fn title(scenario: &str, reports: &[&EvalReport]) -> String {
+    let mut title = scenario.to_owned();
+    let Some((first, others)) = reports.split_first() else { return title };
+    let mut add = |name: &str, text: &dyn Fn(&EvalReport) -> String| {
+        let common = text(first);
+        if others.iter().all(|other| text(other) == common) {
+            // Writing to a string cannot fail.
+            let _ = write!(title, ", {common}");
+        } else {
+            let _ = write!(title, ", {name} differ between columns");
+        }
+    };
+    add("seeds", &|report| seeds(&report.seeds));
+    add("intervals", &|report| {
+        let Protocol { interval_seconds, yellow_seconds, episode_seconds, .. } = report.protocol;
+        format!("{episode_seconds} s, decision every {interval_seconds} s with {yellow_seconds} s of yellow")
+    });
+    add("teleport times", &|report| match report.protocol.time_to_teleport_seconds {
+        never if never < 0.0 => "no teleports".to_owned(),
+        seconds => format!("teleport after {seconds} s"),
+    });
+    add("SUMO versions", &|report| format!("SUMO {}", report.protocol.sumo_version));
+    if others.iter().any(|other| {
+        (&other.protocol.net_hash, &other.protocol.demand_hash)
+            != (&first.protocol.net_hash, &first.protocol.demand_hash)
+    }) {
+        title.push_str(", net or demand differ between columns");
+    }
+    title
+}
+
+fn seeds(seeds: &[u32]) -> String {
+    match seeds {
+        [] => "no seeds".to_owned(),
+        [seed] => format!("seed {seed}"),
+        [first, .., last] if (last - first) as usize + 1 == seeds.len() => format!("seeds {first} to {last}"),
+        _ => format!("seeds {}", seeds.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")),
+    }
+}
+
+/// Names to the left, figures to the right, two spaces between columns.
+fn aligned(rows: &[Vec<String>]) -> String {
+    let columns = rows.first().map_or(0, Vec::len);
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..columns).map(width).collect();
+    let mut text = String::new();
+    for row in rows {
+        let mut line = String::new();
+        for (column, (cell, &width)) in row.iter().zip(&widths).enumerate() {
+            // Writing to a string cannot fail.
+            let _ = match column {
+                0 => write!(line, "  {cell:<width$}"),
+                _ => write!(line, "  {cell:>width$}"),
+            };
+        }
+        text.push_str(line.trim_end());
+        text.push('\n');
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::report::tests::report;
+    use super::*;
+
+    fn line<'t>(text: &'t str, name: &str) -> &'t str {
+        text.lines().find(|line| line.trim_start().starts_with(name)).unwrap()
+    }
+
+    #[test]
+    fn columns_are_aligned_and_the_best_is_marked() {
+        let text = table(&[
+            report("grid4x4", "cross", &[10.0, 12.0]),
+            report("grid4x4", "fixed-time", &[50.0, 52.0]),
+            report("grid4x4", "max-pressure-stopped", &[23.0, 24.0]),
+        ]);
+        let first = text.lines().next().unwrap();
+        assert_eq!(
+            first,
+            "grid4x4, seeds 1 to 2, 3600 s, decision every 10 s with 3 s of yellow, no teleports, SUMO 1.28.0"
+        );
+        let delay = line(&text, "trip delay (s) ↓");
+        assert!(delay.contains("11.0* ±0.0"), "{delay}");
+        assert!(delay.contains("51.0  ±0.0") && delay.contains("23.5  ±0.0"), "{delay}");
+        // All three columns end where the header's do, in the same place in every row.
+        let ends: Vec<usize> = ["trip delay", "speed", "trip time", "stops"]
+            .iter()
+            .map(|name| line(&text, name).chars().count())
+            .collect();
+        assert!(ends.iter().all(|&end| end == text.lines().nth(1).unwrap().chars().count()), "{text}");
+    }
+
+    #[test]
+    fn equal_figures_share_the_star_and_a_single_column_has_none() {
+        let two = table(&[report("s", "a", &[10.0]), report("s", "b", &[10.0])]);
+        assert_eq!(line(&two, "trip delay").matches('*').count(), 2);
+        let one = table(&[report("s", "a", &[10.0])]);
+        assert_eq!(one.matches('*').count(), 0);
+    }
+
+    #[test]
+    fn each_scenario_has_its_own_table() {
+        let text = table(&[
+            report("grid4x4", "a", &[1.0]),
+            report("arterial4x4", "a", &[2.0]),
+            report("grid4x4", "b", &[3.0]),
+        ]);
+        assert_eq!(text.matches("trip delay").count(), 2);
+        let second = text.find("arterial4x4").unwrap();
+        assert!(text[..second].contains("3.0"), "both reports of grid4x4 stand together:\n{text}");
+        assert_eq!(table(&[]), "");
+    }
+
+    #[test]
+    fn what_differs_between_columns_is_said() {
+        let mut other = report("s", "b", &[1.0]);
+        other.protocol.yellow_seconds = 5;
+        other.protocol.demand_hash = "dd".to_owned();
+        let text = table(&[report("s", "a", &[1.0, 2.0]), other]);
+        let title = text.lines().next().unwrap();
+        for difference in ["seeds differ", "intervals differ", "net or demand differ"] {
+            assert!(title.contains(difference), "{title}");
+        }
+    }
+
+    #[test]
+    fn seeds_are_named_briefly() {
+        assert_eq!(seeds(&[1, 2, 3]), "seeds 1 to 3");
+        assert_eq!(seeds(&[1, 3]), "seeds 1, 3");
+        assert_eq!(seeds(&[7]), "seed 7");
+        assert_eq!(seeds(&[]), "no seeds");
+    }
+
+    #[test]
+    fn a_gridlock_is_named_by_its_seed() {
+        let mut locked = report("s", "b", &[1.0, 2.0]);
+        locked.gridlocked_seeds = vec![2];
+        let text = table(&[report("s", "a", &[1.0]), locked]);
+        assert!(line(&text, "gridlock in seed").ends_with('2'), "{text}");
+        assert!(!table(&[report("s", "a", &[1.0])]).contains("gridlock"));
+    }
+}
