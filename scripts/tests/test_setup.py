@@ -178,6 +178,13 @@ class Prerequisites(unittest.TestCase):
                 cargo.chmod(0o755)
                 self.assertIn(expected, self.complaint(CARGO=str(cargo)))
 
+    def test_a_python_without_pip_is_named(self):
+        with tempfile.TemporaryDirectory() as folder:
+            with mock.patch.object(machine.importlib.util, "find_spec", return_value=None):
+                with self.assertRaises(machine.SetupError) as caught:
+                    machine.check_for_install(Path(folder), parts.all_parts("cpu"))
+        self.assertIn("apt-get install python3-pip", str(caught.exception))
+
     def test_too_small_a_disk_is_named_with_both_figures(self):
         with tempfile.TemporaryDirectory() as folder:
             with mock.patch.object(machine.shutil, "disk_usage", return_value=mock.Mock(free=machine.GIB)):
