@@ -41,7 +41,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         let (mut stopped, mut running) = (0, 0);
         for vehicle in results.iter().flat_map(|subscription| subscription.objects()) {
             running += 1;
-            if vehicle.get(vehicle::SPEED).and_then(|speed| speed.double().ok()).is_some_and(|speed| speed < 0.1) {
+            if vehicle
+                .get(vehicle::SPEED)
+                .and_then(|speed| speed.double().ok())
+                .is_some_and(|speed| speed < 0.1)
+            {
                 stopped += 1;
             }
         }

@@ -3,7 +3,7 @@
 use crate::client::Client;
 use crate::codec::{DecodeError, Reader, Writer};
 use crate::constants::{Domain, INVALID_DOUBLE, traffic_light};
-use crate::error::{Evidence, TraciError};
+use crate::error::TraciError;
 use crate::reply::{Answer, describe};
 use crate::subscription::Subscription;
 use crate::value::{Argument, Value, read_last_value};
@@ -216,6 +216,6 @@ impl<'a> Replies<'a> {
             || format!("command {index} of {}", self.len()),
             |&start| describe(&self.sent[start..]),
         );
-        TraciError::Protocol { command, source, evidence: Box::new(Evidence::default()) }
+        TraciError::Protocol { command, source, evidence: Box::default() }
     }
 }

@@ -3,12 +3,13 @@
 use crate::batch::{Batch, Replies};
 use crate::codec::{DecodeError, Reader, Writer};
 use crate::connection::{Connection, Fault};
-use crate::constants::{API_VERSION, Domain, OLDEST_API_VERSION, any, command, simulation};
+use crate::constants::{API_VERSION, Domain, OLDEST_API_VERSION, command};
 use crate::error::{ErrorKind, Evidence, TraciError};
 use crate::reply::{self, Answer, describe, describe_message};
 use crate::subscription::{Subscription, SubscriptionResults};
 use crate::sumo::Process;
-use crate::value::{Argument, Value};
+use crate::value::Argument;
+use std::io::ErrorKind as IoErrorKind;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -57,33 +58,33 @@ impl Client {
     /// # Errors
     /// [`TraciError::Crashed`] if nothing listens there, [`TraciError::Version`], [`TraciError::Timeout`].
     pub fn connect(address: SocketAddr, timeout: Duration) -> Result<Self, TraciError> {
-        Self::attach(address, timeout, timeout, None)
+        let begun = Instant::now();
+        let connection = Connection::connect(address, timeout).map_err(|error| {
+            let command = format!("connecting to {address}");
+            match error.kind() {
+                IoErrorKind::TimedOut | IoErrorKind::WouldBlock => {
+                    TraciError::Timeout { command, after: timeout, evidence: Box::default() }
+                }
+                _ => TraciError::Crashed { command, detail: error.to_string(), evidence: Box::default() },
+            }
+        })?;
+        Self::attach(connection, timeout.saturating_sub(begun.elapsed()), timeout, None)
     }
 
-    /// As [`connect`](Self::connect), with the process that errors are to tell of, and the time for the handshake,
-    /// which SUMO answers only when it has loaded everything.
+    /// Takes over a connection to a SUMO whose process errors are to tell of. `handshake` is the time for the version
+    /// check, which SUMO answers only when it has loaded everything.
     pub(crate) fn attach(
-        address: SocketAddr,
+        connection: Connection,
         handshake: Duration,
         timeout: Duration,
         process: Option<Arc<Process>>,
     ) -> Result<Self, TraciError> {
-        let begun = Instant::now();
-        let command = format!("connecting to {address}");
-        let connection = Connection::connect(address, handshake).map_err(|error| {
-            let evidence = gather(process.as_ref(), true);
-            if matches!(error.kind(), std::io::ErrorKind::TimedOut | std::io::ErrorKind::WouldBlock) {
-                TraciError::Timeout { command, after: handshake, evidence }
-            } else {
-                TraciError::Crashed { command, detail: error.to_string(), evidence }
-            }
-        })?;
         let mut client = Self {
             connection,
             sent: Vec::new(),
             starts: Vec::new(),
             answers: Vec::new(),
-            timeout: handshake.saturating_sub(begun.elapsed()),
+            timeout: handshake,
             process,
             version: (0, String::new()),
             failed: None,
@@ -186,7 +187,8 @@ impl Client {
     /// [`batch`](Self::batch).
     ///
     /// # Errors
-    /// [`TraciError::Refused`] for an unknown light or a state of the wrong length; others end the connection.
+    /// [`TraciError::Refused`] for an unknown light; others end the connection. A state of another length than the
+    /// light has links ends SUMO itself: [`TraciError::Crashed`].
     pub fn set_traffic_light_state(&mut self, id: &str, state: &str) -> Result<(), TraciError> {
         let mut batch = self.batch();
         batch.set_traffic_light_state(id, state);
@@ -196,7 +198,7 @@ impl Client {
     /// Sets a variable.
     ///
     /// # Errors
-    /// [`TraciError::Refused`] with SUMO's message; others end the connection. So for all the calls below.
+    /// [`TraciError::Refused`] with SUMO's message; others end the connection.
     pub fn set(
         &mut self,
         domain: Domain,
@@ -262,117 +264,6 @@ impl Client {
         batch.send().map(drop)
     }
 
-    /// Reads a variable.
-    ///
-    /// # Errors
-    /// As [`set`](Self::set).
-    pub fn get(&mut self, domain: Domain, variable: u8, object: &str) -> Result<Value<'_>, TraciError> {
-        self.get_with(domain, variable, object, &[])
-    }
-
-    /// Reads a variable that needs parameters.
-    ///
-    /// # Errors
-    /// As [`set`](Self::set).
-    pub fn get_with(
-        &mut self,
-        domain: Domain,
-        variable: u8,
-        object: &str,
-        parameters: &[Argument<'_>],
-    ) -> Result<Value<'_>, TraciError> {
-        let mut batch = self.batch();
-        batch.get_with(domain, variable, object, parameters);
-        batch.send()?.value(0)
-    }
-
-    /// Reads a real number.
-    ///
-    /// # Errors
-    /// As [`set`](Self::set), and [`TraciError::Protocol`] if the variable is something else; so for those below.
-    pub fn get_double(&mut self, domain: Domain, variable: u8, object: &str) -> Result<f64, TraciError> {
-        self.read(domain, variable, object, |value| value.double())
-    }
-
-    /// Reads an integer.
-    ///
-    /// # Errors
-    /// As [`get_double`](Self::get_double).
-    pub fn get_int(&mut self, domain: Domain, variable: u8, object: &str) -> Result<i32, TraciError> {
-        self.read(domain, variable, object, |value| value.int())
-    }
-
-    /// Reads a text.
-    ///
-    /// # Errors
-    /// As [`get_double`](Self::get_double).
-    pub fn get_string(&mut self, domain: Domain, variable: u8, object: &str) -> Result<String, TraciError> {
-        self.read(domain, variable, object, |value| Ok(value.str()?.to_owned()))
-    }
-
-    /// Reads a list of texts.
-    ///
-    /// # Errors
-    /// As [`get_double`](Self::get_double).
-    pub fn get_strings(
-        &mut self,
-        domain: Domain,
-        variable: u8,
-        object: &str,
-    ) -> Result<Vec<String>, TraciError> {
-        self.read(domain, variable, object, |value| Ok(value.strings()?.iter().map(str::to_owned).collect()))
-    }
-
-    /// Reads a position, metres.
-    ///
-    /// # Errors
-    /// As [`get_double`](Self::get_double).
-    pub fn get_position(
-        &mut self,
-        domain: Domain,
-        variable: u8,
-        object: &str,
-    ) -> Result<(f64, f64), TraciError> {
-        self.read(domain, variable, object, |value| value.position())
-    }
-
-    fn read<T>(
-        &mut self,
-        domain: Domain,
-        variable: u8,
-        object: &str,
-        convert: impl FnOnce(&Value<'_>) -> Result<T, DecodeError>,
-    ) -> Result<T, TraciError> {
-        let mut batch = self.batch();
-        batch.get(domain, variable, object);
-        let replies = batch.send()?;
-        convert(&replies.value(0)?).map_err(|source| replies.error(0, source))
-    }
-
-    /// Ids of all objects of a domain.
-    ///
-    /// # Errors
-    /// As [`get_double`](Self::get_double).
-    pub fn ids(&mut self, domain: Domain) -> Result<Vec<String>, TraciError> {
-        self.get_strings(domain, any::ID_LIST, "")
-    }
-
-    /// Simulated time, seconds.
-    ///
-    /// # Errors
-    /// As [`get_double`](Self::get_double).
-    pub fn time(&mut self) -> Result<f64, TraciError> {
-        self.get_double(Domain::Simulation, simulation::TIME, "")
-    }
-
-    /// Vehicles and persons running or still to come; zero means that nothing more will happen.
-    ///
-    /// # Errors
-    /// As [`get_double`](Self::get_double).
-    pub fn min_expected(&mut self) -> Result<i32, TraciError> {
-        self.get_int(Domain::Simulation, simulation::MIN_EXPECTED_NUMBER, "")
-    }
-
     /// Sets this client's place among several of one SUMO, lowest first. Needed only with `--num-clients` above one.
     ///
     /// # Errors
@@ -401,13 +292,9 @@ impl Client {
     /// Ends the connection, whereupon SUMO writes its outputs and ends. A second time does nothing.
     ///
     /// # Errors
-    /// As every call; the connection is ended in any case.
+    /// As every call, and [`TraciError::Unusable`] after an earlier failure; the connection has ended in any case.
     pub fn close(&mut self) -> Result<(), TraciError> {
         if self.closed {
-            return Ok(());
-        }
-        if self.failed.is_some() {
-            self.closed = true;
             return Ok(());
         }
         self.begin();
@@ -450,10 +337,7 @@ impl Client {
     /// Sends the message and reads the answers.
     pub(crate) fn run(&mut self) -> Result<(), TraciError> {
         if self.closed || self.failed.is_some() {
-            let (kind, earlier) =
-                self.failed.clone().unwrap_or((ErrorKind::Refused, "it was closed".to_owned()));
-            let command = describe_message(&self.sent, &self.starts);
-            return Err(TraciError::Unusable { command, kind, earlier });
+            return Err(self.unusable());
         }
         let begun = Instant::now();
         let outcome = self.connection.exchange(&mut self.sent, self.timeout);
@@ -463,6 +347,13 @@ impl Client {
         reply::read(&self.sent, &self.starts, self.connection.body(), &mut self.answers)
             .map_err(|source| self.protocol(source))?;
         self.refusals()
+    }
+
+    /// Why the message cannot be sent.
+    fn unusable(&self) -> TraciError {
+        let command = describe_message(&self.sent, &self.starts);
+        let (kind, earlier) = self.failed.clone().unwrap_or((ErrorKind::Refused, "it was closed".to_owned()));
+        TraciError::Unusable { command, kind, earlier }
     }
 
     fn count(&mut self, took: Duration) {

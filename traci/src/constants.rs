@@ -236,8 +236,8 @@ variables! {
 }
 
 variables! {
-    /// Variables of [`Domain::Simulation`]. Counts and ids of events cover the last simulated step only, however far
-    /// the `simulationStep` command went.
+    /// Variables of [`Domain::Simulation`]. Counts and ids of events cover the whole of the last `simulationStep`
+    /// command, all its seconds, read or subscribed.
     simulation {
         /// Time, seconds (double).
         TIME = 0x66,
@@ -247,23 +247,23 @@ variables! {
         END = 0x1d,
         /// A global option's value (string; the option's name is the object id).
         OPTION = 0x32,
-        /// Vehicles loaded in the last step (integer).
+        /// Vehicles loaded (integer).
         LOADED_NUMBER = 0x71,
         /// Their ids (string list).
         LOADED_IDS = 0x72,
-        /// Vehicles inserted in the last step (integer).
+        /// Vehicles inserted (integer).
         DEPARTED_NUMBER = 0x73,
         /// Their ids (string list).
         DEPARTED_IDS = 0x74,
-        /// Vehicles that began to teleport in the last step (integer).
+        /// Vehicles that began to teleport (integer).
         TELEPORT_STARTING_NUMBER = 0x75,
         /// Their ids (string list).
         TELEPORT_STARTING_IDS = 0x76,
-        /// Vehicles that ended a teleport in the last step (integer).
+        /// Vehicles that ended a teleport (integer).
         TELEPORT_ENDING_NUMBER = 0x77,
         /// Their ids (string list).
         TELEPORT_ENDING_IDS = 0x78,
-        /// Vehicles that arrived in the last step (integer).
+        /// Vehicles that arrived (integer).
         ARRIVED_NUMBER = 0x79,
         /// Their ids (string list).
         ARRIVED_IDS = 0x7a,
@@ -271,11 +271,11 @@ variables! {
         NET_BOUNDING_BOX = 0x7c,
         /// Vehicles and persons running or still to come (integer).
         MIN_EXPECTED_NUMBER = 0x7d,
-        /// Vehicles in a collision in the last step (integer).
+        /// Vehicles in a collision (integer).
         COLLIDING_NUMBER = 0x80,
         /// Their ids (string list).
         COLLIDING_IDS = 0x81,
-        /// Vehicles braking hard to stop in the last step (integer).
+        /// Vehicles braking hard to stop (integer).
         EMERGENCY_STOPPING_NUMBER = 0x89,
         /// Vehicles whose departure time has come but which found no room yet (string list).
         PENDING_VEHICLES = 0x94,

@@ -7,7 +7,7 @@ use std::process::ExitStatus;
 use std::time::Duration;
 use thiserror::Error;
 
-/// Why it failed, as one of few words: a label for metrics and for deciding whether another SUMO may help.
+/// Why a call failed, as one of few words: a label for metrics and for deciding whether another SUMO may help.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ErrorKind {
     /// SUMO ended or its connection broke.
@@ -85,7 +85,7 @@ impl Evidence {
                 match (self.0.exit_code(), self.0.signal()) {
                     (Some(code), _) => write!(f, "ended with exit code {code}"),
                     (None, Some(signal)) => write!(f, "was killed by {}", SignalName(signal)),
-                    (None, None) => f.write_str("closed the connection"),
+                    (None, None) => f.write_str("is gone"),
                 }
             }
         }
@@ -94,17 +94,19 @@ impl Evidence {
 
     /// Its last lines, in words that follow a sentence. Only the newest few: a person reads this in one line.
     fn said(&self) -> impl fmt::Display {
-        struct Said<'a>(&'a [String]);
+        struct Said<'a>(&'a Evidence);
         impl fmt::Display for Said<'_> {
             fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                if self.0.is_empty() {
-                    return f.write_str("; it printed nothing");
+                let lines = &self.0.last_lines;
+                if lines.is_empty() {
+                    // Of a SUMO that somebody else started, or that never ran, there is nothing to tell.
+                    return if self.0.pid.is_some() { f.write_str("; it printed nothing") } else { Ok(()) };
                 }
-                write!(f, "; it printed: {}", self.0.join(" | "))
+                write!(f, "; it printed: {}", lines[lines.len().saturating_sub(SHOWN)..].join(" | "))
             }
         }
         const SHOWN: usize = 6;
-        Said(&self.last_lines[self.last_lines.len().saturating_sub(SHOWN)..])
+        Said(self)
     }
 }
 
@@ -203,7 +205,7 @@ pub enum TraciError {
         evidence: Box<Evidence>,
     },
     /// The connection failed earlier; this command was not sent.
-    #[error("{command} was not sent: the connection to this SUMO already failed ({earlier})")]
+    #[error("{command} was not sent: the connection to this SUMO has ended ({earlier})")]
     Unusable {
         /// The command that was not sent.
         command: String,
@@ -244,5 +246,12 @@ impl TraciError {
             | Self::Spawn { evidence, .. } => Some(evidence),
             Self::Refused { .. } | Self::Version { .. } | Self::Unusable { .. } => None,
         }
+    }
+}
+
+/// A value of another type than expected, found while walking over subscription results.
+impl From<DecodeError> for TraciError {
+    fn from(source: DecodeError) -> Self {
+        Self::Protocol { command: "a subscription".to_owned(), source, evidence: Box::default() }
     }
 }

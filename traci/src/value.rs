@@ -2,6 +2,7 @@
 
 use crate::codec::{DecodeError, MAX_DEPTH, Reader, Writer};
 use crate::constants::types;
+use std::fmt;
 
 /// A value that SUMO sent. Nothing is copied: strings and lists point into the receive buffer.
 #[derive(Debug, Clone, PartialEq)]
@@ -150,9 +151,9 @@ impl<'a> Value<'a> {
 }
 
 macro_rules! list {
-    ($(#[$doc:meta])* $name:ident, $item:ty, $iter:ident, $least:expr, $read:expr) => {
+    ($(#[$doc:meta])* $name:ident, $item:ty, $iter:ident, $read:expr) => {
         $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq)]
+        #[derive(Clone, Copy, PartialEq)]
         pub struct $name<'a> {
             count: usize,
             bytes: &'a [u8],
@@ -181,6 +182,12 @@ macro_rules! list {
                     let _: $item = $read(reader)?;
                 }
                 Ok(Self { count, bytes: &all[..all.len() - reader.rest().len()] })
+            }
+        }
+
+        impl fmt::Debug for $name<'_> {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.debug_list().entries(self.iter()).finish()
             }
         }
 
@@ -221,19 +228,19 @@ fn read_pair(reader: &mut Reader<'_>) -> Result<(f64, f64), DecodeError> {
 
 list!(
     /// Texts in the receive buffer.
-    StrList, &'a str, StrIter, 4, Reader::str
+    StrList, &'a str, StrIter, Reader::str
 );
 list!(
     /// Numbers in the receive buffer.
-    DoubleList, f64, DoubleIter, 8, Reader::f64
+    DoubleList, f64, DoubleIter, Reader::f64
 );
 list!(
     /// Points (x, y) in the receive buffer, metres.
-    Polygon, (f64, f64), PointIter, 16, read_pair
+    Polygon, (f64, f64), PointIter, read_pair
 );
 
 /// Values in the receive buffer that belong together.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, PartialEq)]
 pub struct Compound<'a> {
     bytes: &'a [u8],
 }
@@ -242,6 +249,12 @@ impl<'a> Compound<'a> {
     /// The parts, in SUMO's order.
     pub fn iter(&self) -> CompoundIter<'a> {
         CompoundIter { reader: Reader::new(self.bytes) }
+    }
+}
+
+impl fmt::Debug for Compound<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.iter()).finish()
     }
 }
 
@@ -302,8 +315,10 @@ fn read_typed<'a>(reader: &mut Reader<'a>, depth: usize) -> Result<Value<'a>, De
         }
         types::COLOR => Value::Color([reader.u8()?, reader.u8()?, reader.u8()?, reader.u8()?]),
         types::POLYGON => {
-            // One byte of length; zero announces four more, as in a command.
+            // One byte of length; zero announces four more, as in a command. An empty polygon, though, is a zero with
+            // nothing behind it, which only the end of the bytes tells.
             let count = match reader.u8()? {
+                0 if reader.is_empty() => 0,
                 0 => reader.count(16)?,
                 short => short.into(),
             };
@@ -402,5 +417,94 @@ impl Argument<'_> {
                 writer
             }
         };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn written(argument: Argument<'_>) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        argument.write(&mut Writer::new(&mut bytes));
+        bytes
+    }
+
+    fn value(bytes: &[u8]) -> Result<Value<'_>, DecodeError> {
+        let mut reader = Reader::new(bytes);
+        let value = read_value(&mut reader)?;
+        reader.end()?;
+        Ok(value)
+    }
+
+    #[test]
+    fn a_value_of_another_type_says_what_it_is() {
+        let bytes = written(Argument::Str("x"));
+        let error = value(&bytes).unwrap().double().unwrap_err();
+        assert_eq!(error.to_string(), "expected a double, found a string");
+    }
+
+    #[test]
+    fn an_empty_polygon_is_a_zero_and_nothing_more() {
+        let empty = value(&[types::POLYGON, 0]).unwrap();
+        assert!(matches!(empty, Value::Polygon(points) if points.is_empty()));
+    }
+
+    #[test]
+    fn compounds_nested_too_deep_are_refused_rather_than_followed() {
+        let mut bytes = Vec::new();
+        for _ in 0..100_000 {
+            Writer::new(&mut bytes).u8(types::COMPOUND).i32(1);
+        }
+        assert_eq!(value(&[&bytes[..], &[types::UBYTE, 0]].concat()), Err(DecodeError::Depth));
+    }
+
+    #[test]
+    fn lists_with_lying_counts_are_refused_before_they_are_believed() {
+        for id in [types::STRING_LIST, types::DOUBLE_LIST, types::COMPOUND] {
+            let bytes = [&[id][..], &i32::MAX.to_be_bytes(), &[0; 40]].concat();
+            assert!(matches!(value(&bytes), Err(DecodeError::Length { .. })), "type 0x{id:02x}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read_back(
+            real in any::<f64>().prop_filter("NaN differs from itself", |x| !x.is_nan()), int in any::<i32>(), text in ".{0,40}",
+            texts in proptest::collection::vec(".{0,10}", 0..6), reals in proptest::collection::vec(-1e9f64..1e9, 0..6), color in any::<[u8; 4]>(),
+        ) {
+            let borrowed: Vec<&str> = texts.iter().map(String::as_str).collect();
+            let parts = [
+                Argument::Double(real), Argument::Int(int), Argument::Byte(-3), Argument::UByte(200), Argument::Str(&text),
+                Argument::StrList(&borrowed), Argument::DoubleList(&reals), Argument::Position { x: real, y: 1.5 }, Argument::Color(color),
+            ];
+            let bytes = written(Argument::Compound(&[Argument::Compound(&parts), Argument::Int(1)]));
+            let whole = value(&bytes).unwrap().compound().unwrap();
+            let inner = whole.iter().next().unwrap().compound().unwrap();
+            let read: Vec<Value<'_>> = inner.iter().collect();
+            prop_assert_eq!(whole.iter().count(), 2);
+            prop_assert_eq!(read.len(), parts.len());
+            prop_assert_eq!(read[0].double().unwrap(), real);
+            prop_assert_eq!(read[1].int().unwrap(), int);
+            prop_assert_eq!((read[2].int().unwrap(), read[3].int().unwrap()), (-3, 200));
+            prop_assert_eq!(read[4].str().unwrap(), &text);
+            prop_assert_eq!(read[5].strings().unwrap().iter().collect::<Vec<_>>(), borrowed);
+            prop_assert_eq!(read[6].doubles().unwrap().iter().collect::<Vec<_>>(), reals);
+            prop_assert_eq!(read[7].position().unwrap(), (real, 1.5));
+            prop_assert_eq!(&read[8], &Value::Color(color));
+            for cut in 0..bytes.len() {
+                prop_assert!(value(&bytes[..cut]).is_err());
+            }
+        }
+
+        #[test]
+        fn arbitrary_bytes_never_panic(id in 0u8..0x14, bytes in proptest::collection::vec(any::<u8>(), 0..120)) {
+            let bytes = [&[id][..], &bytes].concat();
+            if let Ok(value) = read_value(&mut Reader::new(&bytes)) {
+                let _ = format!("{value:?}");
+            }
+            let _ = read_last_value(Reader::new(&bytes));
+        }
     }
 }

@@ -6,10 +6,13 @@
 /// Whether process `pid` listens on TCP `port`; `None` where the system does not tell.
 #[cfg(target_os = "linux")]
 pub(crate) fn listens(pid: u32, port: u16) -> Option<bool> {
-    let sockets = std::fs::read_to_string(format!("/proc/{pid}/net/tcp")).ok()?;
+    // Of a process that has just ended nothing can be read: it does not listen. Only where this process cannot look
+    // at itself either does the system not tell.
+    let unknown = || std::fs::metadata("/proc/self/net/tcp").is_ok().then_some(false);
+    let Ok(sockets) = std::fs::read_to_string(format!("/proc/{pid}/net/tcp")) else { return unknown() };
     let Some(inode) = listening_inode(&sockets, port) else { return Some(false) };
     let link = format!("socket:[{inode}]");
-    let files = std::fs::read_dir(format!("/proc/{pid}/fd")).ok()?;
+    let Ok(files) = std::fs::read_dir(format!("/proc/{pid}/fd")) else { return unknown() };
     Some(
         files.flatten().any(|file| {
             std::fs::read_link(file.path()).is_ok_and(|target| target.as_os_str() == link.as_str())

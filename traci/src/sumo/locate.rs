@@ -245,3 +245,101 @@ fn executable(program: &Path) -> bool {
 fn executable(program: &Path) -> bool {
     program.is_file()
 }
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use std::fs;
+    use std::os::unix::fs::PermissionsExt;
+
+    fn install(binaries: &Path, content: &[u8], mode: u32) {
+        fs::create_dir_all(binaries).expect("a directory");
+        fs::write(binaries.join("sumo"), content).expect("a file");
+        fs::set_permissions(binaries.join("sumo"), fs::Permissions::from_mode(mode)).expect("permissions");
+    }
+
+    fn search(
+        option: Option<&Path>,
+        environment: Option<&Path>,
+        starts: &[PathBuf],
+        path: &Path,
+    ) -> Result<SumoHome, LocateError> {
+        let environment = environment.map(Path::to_owned);
+        Search { option, environment, starts, path: Some(path.as_os_str()) }.run()
+    }
+
+    #[test]
+    fn what_is_named_wins_then_the_project_then_the_path() {
+        let root = tempfile::tempdir().unwrap();
+        let root = root.path().canonicalize().unwrap();
+        let (option, environment) = (root.join("option"), root.join("environment"));
+        let project = root.join("project/.deps/sumo/sumo");
+        let path = root.join("usr/bin");
+        for binaries in [&option.join("bin"), &environment.join("bin"), &project.join("bin"), &path] {
+            install(binaries, b"\x7fELF", 0o755);
+        }
+        fs::create_dir_all(root.join("usr/share/sumo/data/xsd")).unwrap();
+        let starts = [root.join("project/target/release/cross"), root.join("elsewhere")];
+
+        let found = search(Some(&option), Some(&environment), &starts, &path).unwrap();
+        assert_eq!((found.origin(), found.path()), (Origin::Option, option.as_path()));
+        let found = search(None, Some(&environment), &starts, &path).unwrap();
+        assert_eq!((found.origin(), found.path()), (Origin::Environment, environment.as_path()));
+        let found = search(None, None, &starts, &path).unwrap();
+        assert_eq!((found.origin(), found.path()), (Origin::Project, project.as_path()));
+        let found = search(None, None, &starts[1..], &path).unwrap();
+        assert_eq!((found.origin(), found.path()), (Origin::Path, root.join("usr/share/sumo").as_path()));
+        assert_eq!(found.binary("netconvert"), path.join("netconvert"));
+    }
+
+    #[test]
+    fn a_wrong_name_is_an_error_and_never_replaced_by_another_sumo() {
+        let root = tempfile::tempdir().unwrap();
+        let path = root.path().join("bin");
+        install(&path, b"\x7fELF", 0o755);
+        let error = search(None, Some(&root.path().join("gone")), &[], &path).unwrap_err().to_string();
+        assert!(error.starts_with("SUMO_HOME names ") && error.contains("no such directory"), "{error}");
+        assert!(error.contains("make build"), "{error}");
+    }
+
+    #[test]
+    fn nothing_found_says_what_was_searched_and_what_to_do() {
+        let root = tempfile::tempdir().unwrap();
+        let error = search(None, None, &[root.path().to_owned()], root.path()).unwrap_err().to_string();
+        for part in
+            ["SUMO_HOME is not set", ".deps/sumo/sumo", "no sumo on the PATH", "make build", "--sumo-home"]
+        {
+            assert!(error.contains(part), "{part}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_script_or_a_file_that_cannot_run_is_no_sumo() {
+        let root = tempfile::tempdir().unwrap();
+        install(&root.path().join("bin"), b"#!/usr/bin/python3", 0o755);
+        let error = search(Some(root.path()), None, &[], root.path()).unwrap_err().to_string();
+        assert!(error.contains("is a script"), "{error}");
+        install(&root.path().join("bin"), b"\x7fELF", 0o644);
+        let error = search(Some(root.path()), None, &[], root.path()).unwrap_err().to_string();
+        assert!(error.contains("not executable"), "{error}");
+    }
+
+    #[test]
+    fn a_distributions_data_is_completed_by_the_path() {
+        let root = tempfile::tempdir().unwrap();
+        let root = root.path().canonicalize().unwrap();
+        install(&root.join("bin"), b"\x7fELF", 0o755);
+        fs::create_dir_all(root.join("share/sumo/data")).unwrap();
+        let found = search(None, Some(&root.join("share/sumo")), &[], &root.join("bin")).unwrap();
+        assert_eq!(found.path(), root.join("share/sumo"));
+        assert_eq!(found.binary("sumo"), root.join("bin/sumo"));
+    }
+
+    #[test]
+    fn versions_are_read_from_the_first_line() {
+        assert_eq!(parse_version("Eclipse SUMO sumo 1.28.0").as_deref(), Some("1.28.0"));
+        assert_eq!(parse_version("Eclipse SUMO sumo Version 1.18.0").as_deref(), Some("1.18.0"));
+        assert_eq!(parse_version("bash: sumo: not found"), None);
+        assert_eq!(parse_version("Eclipse SUMO"), None);
+    }
+}

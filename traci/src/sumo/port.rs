@@ -11,7 +11,7 @@ use std::io;
 pub(crate) struct PortReservation {
     port: u16,
     #[cfg(target_os = "linux")]
-    _held: rustix::fd::OwnedFd,
+    _held: Option<rustix::fd::OwnedFd>,
 }
 
 impl PortReservation {
@@ -25,7 +25,7 @@ impl PortReservation {
         // SUMO listens on every address, so the port must be free on every address.
         bind(&socket, &SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0))?;
         let address = SocketAddr::try_from(getsockname(&socket)?)?;
-        Ok(Self { port: address.port(), _held: socket })
+        Ok(Self { port: address.port(), _held: Some(socket) })
     }
 
     /// Lets the system choose a free port.
@@ -33,6 +33,16 @@ impl PortReservation {
     pub(crate) fn new() -> io::Result<Self> {
         let listener = std::net::TcpListener::bind((std::net::Ipv4Addr::UNSPECIFIED, 0))?;
         Ok(Self { port: listener.local_addr()?.port() })
+    }
+
+    /// A port that is not reserved at all, as if somebody had taken it in between.
+    #[cfg(test)]
+    pub(crate) fn of(port: u16) -> Self {
+        Self {
+            port,
+            #[cfg(target_os = "linux")]
+            _held: None,
+        }
     }
 
     /// The port.

@@ -5,6 +5,7 @@ use super::listening::listens;
 use super::port::PortReservation;
 use super::process::Process;
 use crate::client::Client;
+use crate::connection::Connection;
 use crate::error::{Evidence, TraciError};
 use std::ffi::{OsStr, OsString};
 use std::net::{Ipv4Addr, SocketAddr};
@@ -148,8 +149,7 @@ impl Sumo {
     pub fn close(mut self) -> Result<ExitReport, TraciError> {
         let begun = Instant::now();
         let timeout = self.client.timeout();
-        let closed = self.client.close();
-        if let Err(error) = closed {
+        if let Err(error) = self.client.close() {
             self.process.kill();
             return Err(error);
         }
@@ -246,36 +246,46 @@ fn try_port(
         Attempt::Failed(TraciError::Spawn { binary: binary.clone(), reason, evidence: Box::new(evidence) })
     };
 
+    let late = |evidence: Evidence| {
+        let (command, evidence) = ("its start".to_owned(), Box::new(evidence));
+        Attempt::Failed(TraciError::Timeout { command, after: timeout, evidence })
+    };
+
+    let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
     let mut pause = Duration::from_millis(1);
-    loop {
+    let connection = loop {
+        // Where the system does not tell who listens, connecting has to tell whether somebody does. There is one
+        // connection only: SUMO takes the first for its client.
+        if listens(process.pid(), port) != Some(false)
+            && let Ok(connection) = Connection::connect(address, left.saturating_sub(begun.elapsed()))
+        {
+            break connection;
+        }
         if process.exit().is_some() {
             return Err(ended("it ended before it listened", process.evidence(Duration::ZERO)));
         }
-        match listens(process.pid(), port) {
-            Some(true) => break,
-            // Where the system does not tell, a connection attempt has to.
-            None if std::net::TcpStream::connect((Ipv4Addr::LOCALHOST, port)).is_ok() => break,
-            _ => {}
-        }
         if begun.elapsed() >= left {
-            let evidence = Box::new(process.evidence(Duration::ZERO));
-            let command = "its start".to_owned();
-            return Err(Attempt::Failed(TraciError::Timeout { command, after: timeout, evidence }));
+            return Err(late(process.evidence(Duration::ZERO)));
         }
         std::thread::sleep(pause);
         pause = (pause * 2).min(Duration::from_millis(8));
+    };
+    // On a port that was taken it is not SUMO who accepts, and SUMO has ended or is about to.
+    if process.exit().is_some() {
+        return Err(ended("it ended before it listened", process.evidence(Duration::ZERO)));
     }
 
-    let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
     let left = left.saturating_sub(begun.elapsed());
-    match Client::attach(address, left, timeout, Some(Arc::clone(&process))) {
+    match Client::attach(connection, left, timeout, Some(Arc::clone(&process))) {
         Ok(client) => Ok(Sumo { process, client, port }),
         Err(TraciError::Crashed { evidence, .. }) => Err(ended("it ended while loading", *evidence)),
-        Err(TraciError::Timeout { evidence, .. }) => {
-            let command = "its start".to_owned();
-            Err(Attempt::Failed(TraciError::Timeout { command, after: timeout, evidence }))
-        }
-        Err(other) => Err(Attempt::Failed(other)),
+        Err(TraciError::Timeout { evidence, .. }) if evidence.exit.is_none() => Err(late(*evidence)),
+        Err(error) => match error.evidence() {
+            Some(evidence) if evidence.exit.is_some() => {
+                Err(ended("it ended while loading", evidence.clone()))
+            }
+            _ => Err(Attempt::Failed(error)),
+        },
     }
 }
 
@@ -285,4 +295,62 @@ fn port_taken(evidence: &Evidence) -> bool {
         && evidence.last_lines.iter().any(|line| {
             line.contains("Address already in use") || line.contains("Unable to create listening socket")
         })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::ErrorKind;
+    use std::net::TcpListener;
+
+    fn home() -> SumoHome {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../.deps/sumo/sumo");
+        SumoHome::locate(Some(&path)).expect("run `make build` first")
+    }
+
+    fn grid() -> SumoCommand {
+        let map = Path::new(env!("CARGO_MANIFEST_DIR")).join("../.deps/resco/grid4x4");
+        SumoCommand::new().option("-n", map.join("grid4x4.net.xml"))
+    }
+
+    #[test]
+    fn a_port_taken_at_the_last_moment_is_replaced() {
+        let squatter = TcpListener::bind((Ipv4Addr::UNSPECIFIED, 0)).unwrap();
+        let taken = squatter.local_addr().unwrap().port();
+        let mut given =
+            vec![PortReservation::new().unwrap(), PortReservation::of(taken), PortReservation::of(taken)];
+        let mut reserve = || Ok(given.pop().expect("at most three ports are needed"));
+        let mut sumo = start_on(&home(), &grid(), Duration::from_secs(60), &mut reserve).unwrap();
+        assert_ne!(sumo.port(), taken);
+        assert_eq!(sumo.client().time().unwrap(), 0.0);
+        // The stranger on the port was never talked to.
+        squatter.set_nonblocking(true).unwrap();
+        assert_eq!(squatter.accept().unwrap_err().kind(), std::io::ErrorKind::WouldBlock);
+    }
+
+    #[test]
+    fn ports_that_are_always_taken_end_in_an_error_and_not_in_a_loop() {
+        let squatter = TcpListener::bind((Ipv4Addr::UNSPECIFIED, 0)).unwrap();
+        let taken = squatter.local_addr().unwrap().port();
+        let mut tries = 0;
+        let mut reserve = || {
+            tries += 1;
+            Ok(PortReservation::of(taken))
+        };
+        let error = start_on(&home(), &grid(), Duration::from_secs(60), &mut reserve).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Spawn);
+        assert!(error.to_string().contains("taken"), "{error}");
+        assert_eq!(tries, ATTEMPTS);
+    }
+
+    #[test]
+    fn an_option_given_by_the_caller_is_not_given_twice() {
+        let count = |command: &SumoCommand| {
+            let command = command.command(&home(), 1);
+            command.get_args().filter(|arg| arg.to_string_lossy().starts_with("--no-step-log")).count()
+        };
+        assert_eq!(count(&SumoCommand::new()), 1);
+        assert_eq!(count(&SumoCommand::new().option("--no-step-log", "false")), 1);
+        assert_eq!(count(&SumoCommand::new().arg("--no-step-log=false")), 1);
+    }
 }
