@@ -1,5 +1,10 @@
 //! However a run ends, nothing of it stays behind.
-#![allow(missing_docs, reason = "tests are documented by their names")]
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "tests: documented by their names, failed by panics"
+)]
 
 use cross_tests::processes::{self, assert_none_left};
 use cross_tests::runs::{Background, Run};

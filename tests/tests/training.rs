@@ -1,5 +1,10 @@
 //! Whole runs of `cross train`: what they leave, and what a kill in the middle costs.
-#![allow(missing_docs, reason = "tests are documented by their names")]
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "tests: documented by their names, failed by panics"
+)]
 
 use cross_tests::processes::assert_none_left;
 use cross_tests::runs::Run;
