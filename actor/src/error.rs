@@ -65,6 +65,15 @@ pub enum ActorError {
         /// Hash that the learner announced.
         learner: String,
     },
+    /// The learner wants a scenario simulated that it has not announced.
+    #[error(
+        "the learner assigned the scenario {scenario}, which it did not announce when this actor joined; \
+         restart both from one release of CROSS"
+    )]
+    UnknownScenario {
+        /// Name of the scenario.
+        scenario: String,
+    },
     /// The learner stayed away.
     #[error("no learner at {learner} for {seconds} s, giving up; the last attempt said: {last}")]
     GaveUp {
@@ -147,7 +156,8 @@ impl ActorError {
             | Self::Refused { .. }
             | Self::Scenario { .. }
             | Self::Layout { .. } => 2,
-            Self::GaveUp { .. }
+            Self::UnknownScenario { .. }
+            | Self::GaveUp { .. }
             | Self::FragmentsRefused { .. }
             | Self::SumoKeepsFailing { .. }
             | Self::Simulation { .. }

@@ -40,6 +40,8 @@ pub(crate) struct Joiner {
     pub(crate) config_hash: String,
     /// Version of SUMO, for the learner's records.
     pub(crate) sumo_version: String,
+    /// Joins so far.
+    pub(crate) joins: u64,
 }
 
 /// A connection that has been admitted.
@@ -94,7 +96,7 @@ impl Joiner {
     ///
     /// # Errors
     /// [`ActorError`] if trying again cannot help: refused for good, or the scenarios are not the learner's.
-    pub(crate) async fn connect(&self, known: Option<&Arc<Session>>) -> Result<Attempt, ActorError> {
+    pub(crate) async fn connect(&mut self, known: Option<&Arc<Session>>) -> Result<Attempt, ActorError> {
         let channel = match self.endpoint.connect().await {
             Ok(channel) => channel,
             Err(error) => {
@@ -121,6 +123,7 @@ impl Joiner {
                 return Ok(Attempt::NotYet { why: sentence(&status), at_least });
             }
         };
+        self.joins += 1;
         let session = Arc::new(self.prepare(response).await?);
         tracing::info!(
             learner = %self.learner,
@@ -164,6 +167,7 @@ impl Joiner {
                 .map_err(|error| ActorError::Thread { problem: format!("failed to read nets: {error}") })??
         };
         Ok(Session {
+            join: self.joins,
             epoch: response.session_epoch,
             run_id: response.run_id,
             unacked_fragments: usize::try_from(limits.unacked_fragments).unwrap_or(1).max(1),

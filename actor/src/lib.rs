@@ -73,6 +73,7 @@ pub async fn run(options: Options, stop: CancellationToken) -> Result<Ending, Ac
             scenario_dir: options.scenarios.clone(),
             config_hash,
             sumo_version,
+            joins: 0,
         },
         link: network_end,
         telemetry: Arc::clone(&telemetry),

@@ -15,6 +15,7 @@ use crate::session::Session;
 use cross_proto::v1;
 use std::future::Future;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
@@ -89,9 +90,9 @@ pub struct NetworkEnd {
     pub snapshot: watch::Sender<Option<Snapshot>>,
     /// What the learner said.
     pub directions: watch::Sender<Directions>,
-    /// Episodes for the simulator, with their session.
+    /// Episodes for the simulator, with the number of the join they belong to.
     pub assignments: mpsc::Sender<(u64, v1::EpisodeAssignment)>,
-    /// What the simulator has for the learner, with its session.
+    /// What the simulator has for the learner, likewise.
     pub records: mpsc::Receiver<(u64, Record)>,
 }
 
@@ -138,7 +139,7 @@ impl SimulatorEnd {
         if self.stop.is_cancelled() {
             return Err(Halt::Stop);
         }
-        if !is_current(self.session.borrow().as_ref(), session.epoch) {
+        if !is_current(self.session.borrow().as_ref(), session.join) {
             return Err(Halt::SessionChanged);
         }
         let directions = self.directions.borrow();
@@ -157,10 +158,10 @@ impl SimulatorEnd {
         while self.assignments.try_recv().is_ok() {}
         self.send(session, Record::Request)?;
         let Self { runtime, stop, session: current, assignments, .. } = self;
-        wait(runtime, stop, current, session.epoch, async {
+        wait(runtime, stop, current, session.join, async {
             loop {
                 match assignments.recv().await {
-                    Some((epoch, assignment)) if epoch == session.epoch => return Ok(assignment),
+                    Some((join, assignment)) if join == session.join => return Ok(assignment),
                     Some(_) => {}
                     None => return Err(Halt::Stop),
                 }
@@ -189,7 +190,7 @@ impl SimulatorEnd {
         let new_enough = |slot: &Option<Snapshot>| {
             slot.as_ref().is_some_and(|s| s.epoch == session.epoch && s.weights.policy_version >= at_least)
         };
-        wait(runtime, stop, current, session.epoch, async {
+        wait(runtime, stop, current, session.join, async {
             let slot = snapshot.wait_for(new_enough).await.map_err(|_| Halt::Stop)?;
             // `wait_for` returned, so the slot is filled; an empty one would only mean to wait again.
             slot.as_ref().map(|s| s.weights.clone()).ok_or(Halt::SessionChanged)
@@ -202,14 +203,15 @@ impl SimulatorEnd {
     /// [`Halt`] says why nobody wants it any more.
     pub fn send(&mut self, session: &Session, record: Record) -> Result<(), Halt> {
         let Self { runtime, stop, session: current, records, .. } = self;
-        wait(runtime, stop, current, session.epoch, async {
-            records.send((session.epoch, record)).await.map_err(|_| Halt::Stop)
+        wait(runtime, stop, current, session.join, async {
+            records.send((session.join, record)).await.map_err(|_| Halt::Stop)
         })?
     }
 
-    /// Hands over a record if there is room at once; for the last words of an actor that stops.
-    pub fn try_send(&self, session: &Session, record: Record) -> bool {
-        self.records.try_send((session.epoch, record)).is_ok()
+    /// Hands over the last words of an actor that stops, if the network takes them within `patience`.
+    pub fn send_last(&self, session: &Session, record: Record, patience: Duration) -> bool {
+        let sending = self.records.send_timeout((session.join, record), patience);
+        self.runtime.block_on(sending).is_ok()
     }
 
     /// Waits until a fragment is acknowledged: what serial mode does after each.
@@ -218,7 +220,7 @@ impl SimulatorEnd {
     /// [`Halt`] says why it will not be.
     pub fn acknowledged(&mut self, session: &Session, episode: u64, sequence: u32) -> Result<(), Halt> {
         let Self { runtime, stop, session: current, directions, .. } = self;
-        wait(runtime, stop, current, session.epoch, async {
+        wait(runtime, stop, current, session.join, async {
             directions
                 .wait_for(|d| d.epoch == session.epoch && d.acknowledged == Some((episode, sequence)))
                 .await
@@ -231,14 +233,14 @@ impl SimulatorEnd {
     ///
     /// # Errors
     /// [`Halt`] says what happened.
-    pub fn sleep(&mut self, session: &Session, pause: std::time::Duration) -> Result<(), Halt> {
+    pub fn sleep(&mut self, session: &Session, pause: Duration) -> Result<(), Halt> {
         let Self { runtime, stop, session: current, .. } = self;
-        wait(runtime, stop, current, session.epoch, async { tokio::time::sleep(pause).await })
+        wait(runtime, stop, current, session.join, async { tokio::time::sleep(pause).await })
     }
 }
 
-fn is_current(current: Option<&Arc<Session>>, epoch: u64) -> bool {
-    current.is_some_and(|session| session.epoch == epoch)
+fn is_current(current: Option<&Arc<Session>>, join: u64) -> bool {
+    current.is_some_and(|session| session.join == join)
 }
 
 /// Blocks on `future`, but not past the end of the actor or of the session.
@@ -246,14 +248,14 @@ fn wait<F: Future>(
     runtime: &Handle,
     stop: &CancellationToken,
     session: &mut watch::Receiver<Option<Arc<Session>>>,
-    epoch: u64,
+    join: u64,
     future: F,
 ) -> Result<F::Output, Halt> {
     runtime.block_on(async {
         tokio::select! {
             biased;
             () = stop.cancelled() => Err(Halt::Stop),
-            changed = session.wait_for(|now| !is_current(now.as_ref(), epoch)) => {
+            changed = session.wait_for(|now| !is_current(now.as_ref(), join)) => {
                 // The other end is gone exactly when the actor ends.
                 Err(if changed.is_ok() { Halt::SessionChanged } else { Halt::Stop })
             }
@@ -261,3 +263,7 @@ fn wait<F: Future>(
         }
     })
 }
+
+#[cfg(test)]
+#[path = "link_tests.rs"]
+mod tests;

@@ -20,6 +20,9 @@ const FIRST_PAUSE: Duration = Duration::from_millis(250);
 /// Longest such pause.
 const LONGEST_PAUSE: Duration = Duration::from_secs(8);
 
+/// Time to hand over the news that the actor stops: short, since it is only a courtesy.
+const LAST_WORDS: Duration = Duration::from_secs(1);
+
 /// What the simulator thread starts with.
 #[derive(Debug)]
 pub(crate) struct Rollout {
@@ -93,11 +96,10 @@ impl Simulator {
                 Err(halt) => return Ok(halt),
             };
             let name = assignment.scenario.clone();
-            let result = match self.prepared(session, &assignment) {
-                Ok(prepared) => self.episode(session, &assignment, &prepared),
-                Err(error) => return Err(error),
+            let Some(prepared) = session.scenarios.get(&name) else {
+                return Err(ActorError::UnknownScenario { scenario: name });
             };
-            match result {
+            match self.episode(session, &assignment, prepared) {
                 Ok(()) => {
                     self.failures = 0;
                     self.telemetry.episode(&name, "completed");
@@ -118,17 +120,6 @@ impl Simulator {
                 }
             }
         }
-    }
-
-    fn prepared(
-        &self,
-        session: &Session,
-        assignment: &v1::EpisodeAssignment,
-    ) -> Result<Prepared, ActorError> {
-        session.scenarios.get(&assignment.scenario).cloned().ok_or_else(|| ActorError::Refused {
-            learner: session.run_id.clone(),
-            message: format!("it assigned the scenario {:?}, which was not announced", assignment.scenario),
-        })
     }
 
     fn episode(
@@ -178,7 +169,7 @@ impl Simulator {
             Halt::Stop => {
                 let reason = episode::REASON_SHUTDOWN;
                 // A courtesy that gives the learner its share back at once; without it the lease does so later.
-                self.link.try_send(session, Record::Aborted { episode, reason });
+                self.link.send_last(session, Record::Aborted { episode, reason }, LAST_WORDS);
                 "shutdown"
             }
             Halt::SessionChanged => "session_changed",

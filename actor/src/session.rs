@@ -37,6 +37,9 @@ const LAST_WORDS: Duration = Duration::from_secs(2);
 /// A learner process's session, as this actor joined it.
 #[derive(Debug)]
 pub struct Session {
+    /// Number of this join within the process. Joining again, in the same session too, means that the learner has given
+    /// up whatever episode this actor was at.
+    pub join: u64,
     /// Tells it from the sessions of the same learner before and after.
     pub epoch: u64,
     /// The training run.
@@ -53,6 +56,24 @@ pub struct Session {
     pub heartbeat: Duration,
     /// The scenarios that this actor runs, by name.
     pub scenarios: BTreeMap<String, Prepared>,
+}
+
+#[cfg(test)]
+impl Session {
+    /// A session without scenarios.
+    pub(crate) fn bare(join: u64, epoch: u64) -> Arc<Self> {
+        Arc::new(Self {
+            join,
+            epoch,
+            run_id: "test".to_owned(),
+            config: Config::default(),
+            unacked_fragments: 4,
+            fragment_steps: 4,
+            max_message_bytes: 1 << 24,
+            heartbeat: Duration::from_secs(5),
+            scenarios: BTreeMap::new(),
+        })
+    }
 }
 
 /// A scenario whose net is known to be the learner's.
@@ -157,9 +178,8 @@ impl Network {
             Attempt::Joined(joined) => joined,
             Attempt::NotYet { why, at_least } => return Ok(After::Retry { why, at_least }),
         };
-        contact.heard = Instant::now();
         self.adopt(&session);
-        let dropped = uplink.open(session.epoch, session.unacked_fragments);
+        let dropped = uplink.open(session.join, session.epoch, session.unacked_fragments);
         self.telemetry.dropped(Dropped::OldSession, dropped);
 
         let end = {

@@ -62,7 +62,10 @@ impl Stream<'_> {
             Err(_) => return StreamEnd::Lost(Status::deadline_exceeded("no answer to the stream's hello")),
         };
         self.telemetry.connected();
-        self.exchange(sender, inbound).await
+        let end = self.exchange(sender, inbound).await;
+        // However little it said, it was there until now: keepalive would have noticed otherwise.
+        self.contact.heard = Instant::now();
+        end
     }
 
     async fn exchange(
@@ -102,7 +105,7 @@ impl Stream<'_> {
                     }
                 }
                 record = self.records.recv(), if flush_until.is_none() && self.uplink.has_room() => match record {
-                    Some((epoch, record)) => self.accept(epoch, record),
+                    Some((join, record)) => self.accept(join, record),
                     None => flush_until = Some(Instant::now() + FLUSH),
                 },
                 _ = silence.tick() => self.uplink.heartbeat(),
@@ -115,8 +118,8 @@ impl Stream<'_> {
         }
     }
 
-    fn accept(&mut self, epoch: u64, record: Record) {
-        if self.uplink.accept(epoch, record) == (Accepted::OtherSession { fragment: true }) {
+    fn accept(&mut self, join: u64, record: Record) {
+        if self.uplink.accept(join, record) == (Accepted::OtherSession { fragment: true }) {
             self.telemetry.dropped(Dropped::OldSession, 1);
         }
         self.telemetry.unacked(self.uplink.unacked());
@@ -124,7 +127,6 @@ impl Stream<'_> {
 
     /// Takes a message; gives the stream's end if it is one.
     fn receive(&mut self, response: v1::StreamFragmentsResponse) -> Option<StreamEnd> {
-        self.contact.heard = Instant::now();
         match response.message {
             Some(Message::Ack(ack)) => self.acknowledged(&ack),
             Some(Message::Assignment(assignment)) => self.assigned(assignment),
@@ -151,11 +153,7 @@ impl Stream<'_> {
                 Outcome::Accepted | Outcome::Duplicate | Outcome::Unspecified => {}
             }
         }
-        let epoch = self.session.epoch;
-        self.directions.send_modify(|directions| {
-            if directions.epoch != epoch {
-                *directions = Directions { epoch, ..Directions::default() };
-            }
+        self.direct(|directions| {
             directions.min_policy_version = directions.min_policy_version.max(ack.min_policy_version);
             directions.acknowledged = Some((ack.episode, ack.sequence));
             if outcome == Outcome::UnknownEpisode {
@@ -168,16 +166,32 @@ impl Stream<'_> {
         }
     }
 
+    /// Changes what the simulator has to heed.
+    fn direct(&self, change: impl FnOnce(&mut Directions)) {
+        let epoch = self.session.epoch;
+        self.directions.send_modify(|directions| {
+            if directions.epoch != epoch {
+                *directions = Directions { epoch, ..Directions::default() };
+            }
+            change(directions);
+        });
+    }
+
     fn assigned(&mut self, assignment: v1::EpisodeAssignment) {
         self.contact.progress = true;
         let episode = assignment.episode;
+        // It may be one that this actor failed at before: what was said of the first try does not hold for the second.
+        self.direct(|directions| {
+            directions.acknowledged = None;
+            directions.unknown_episode = None;
+        });
         // The simulator asks for one episode at a time, so there is room for an assignment that it asked for.
         let taken =
-            self.uplink.assigned() && self.assignments.try_send((self.session.epoch, assignment)).is_ok();
+            self.uplink.assigned() && self.assignments.try_send((self.session.join, assignment)).is_ok();
         if !taken {
             tracing::warn!(episode, "the learner assigned an episode that nobody asked for");
             self.accept(
-                self.session.epoch,
+                self.session.join,
                 Record::Aborted { episode, reason: crate::episode::REASON_SESSION_CHANGED },
             );
         }

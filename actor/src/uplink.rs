@@ -16,6 +16,8 @@ use std::collections::VecDeque;
 #[derive(Debug)]
 pub struct Uplink {
     actor_id: String,
+    /// Number of the join that the simulator's records have to be of.
+    join: u64,
     epoch: u64,
     limit: usize,
     /// Sent or waiting to be sent, oldest first; at most `limit`.
@@ -31,7 +33,7 @@ pub struct Uplink {
 pub enum Accepted {
     /// It will be sent.
     Queued,
-    /// It belongs to another session and is dropped; true if it was a fragment.
+    /// It was made under another join and is dropped; true if it was a fragment.
     OtherSession {
         /// Whether data was lost with it.
         fragment: bool,
@@ -44,6 +46,7 @@ impl Uplink {
     pub fn new(actor_id: String) -> Self {
         Self {
             actor_id,
+            join: 0,
             epoch: 0,
             limit: 1,
             unacked: VecDeque::new(),
@@ -52,16 +55,20 @@ impl Uplink {
         }
     }
 
-    /// Starts a stream of session `epoch` with at most `limit` fragments in flight; returns how many fragments of an
-    /// earlier session are dropped.
+    /// Starts a stream of session `epoch`, which this actor entered by its join number `join`, with at most `limit`
+    /// fragments in flight; returns how many fragments of an earlier session are dropped.
     ///
-    /// In the same session everything unacknowledged is sent again, and so is a request that was not answered.
-    pub fn open(&mut self, epoch: u64, limit: usize) -> usize {
+    /// In the same session everything unacknowledged is sent again. So is a request that was not answered, unless the
+    /// actor had to join anew: its simulator then asks by itself.
+    pub fn open(&mut self, join: u64, epoch: u64, limit: usize) -> usize {
         let mut dropped = 0;
+        if join != self.join {
+            self.join = join;
+            self.requested = false;
+        }
         if epoch != self.epoch {
             dropped = self.unacked.len();
             self.unacked.clear();
-            self.requested = false;
             self.epoch = epoch;
         }
         self.limit = limit.max(1);
@@ -83,9 +90,9 @@ impl Uplink {
         self.outbox.is_empty() && self.unacked.len() < self.limit
     }
 
-    /// Takes a record that the simulator made for session `epoch`.
-    pub fn accept(&mut self, epoch: u64, record: Record) -> Accepted {
-        if epoch != self.epoch {
+    /// Takes a record that the simulator made under join number `join`.
+    pub fn accept(&mut self, join: u64, record: Record) -> Accepted {
+        if join != self.join {
             return Accepted::OtherSession { fragment: matches!(record, Record::Fragment(_)) };
         }
         let message = match record {

@@ -131,7 +131,7 @@ mod tests {
         assert_eq!(fixture.take(&corrupt[0]).unwrap_err().field, "sha256");
 
         let out_of_order = chunks(4, 2 * CHUNK_BYTES);
-        assert_eq!(fixture.take(&out_of_order[1]).map_err(|v| v.field).is_err(), true);
+        assert!(fixture.take(&out_of_order[1]).is_err());
 
         let mut oversized = chunks(4, 10);
         oversized[0].total_bytes = u64::MAX;

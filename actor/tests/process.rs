@@ -1,4 +1,5 @@
 //! The program as a process: exit codes, signals, and SUMO's death.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
 mod support;
 
@@ -136,4 +137,20 @@ async fn sigterm_gives_the_episode_back_flushes_and_exits_with_0() {
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(test_kill_process(sumo).is_err(), "SUMO is gone with its owner");
     drop(running.learner);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_actor_that_is_to_die_with_its_parent_does() {
+    let world = World::small();
+    let mut learner = Scripted::of(&world).await;
+    let script = r#""$0" --learner "$1" --actor-id one --die-with-parent=$$ & read -r wait"#;
+    let mut parent = tokio::process::Command::new("sh")
+        .args(["-c", script, PROGRAM, &format!("http://{}", learner.address)])
+        .stdin(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut conversation = learner.ready(1).await;
+    parent.kill().await.unwrap();
+    assert!(conversation.heard().await.is_none(), "the actor closes its stream and is gone");
 }

@@ -1,4 +1,5 @@
 //! The actor against a learner that says exactly what each test needs, in one process; SUMO and the policy are real.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
 mod support;
 
