@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Detection {
-    /// Two bands per lane: stopped and moving vehicles within 50 m of the lane's end (paper, section III-B).
+    /// Two bands per lane: stopped and moving vehicles within 50 m of the lane's end (paper, section III-C).
     Paper,
     /// Three bands per lane: stopped on the whole lane, moving within 100 m of its end, moving beyond.
     Default,

@@ -1,4 +1,4 @@
-//! The topology vector (paper, section III-B): intersection type, phase configuration, and the roads.
+//! The topology vector (paper, section III-C): intersection type, phase configuration, and the roads.
 
 use super::{LENGTH_SCALE, MAX_ROADS, NUMBER_SCALE, SPEED_SCALE};
 use cross_sim::layout::{Intersection, Road};
