@@ -230,9 +230,6 @@ impl Env {
         let (lanes, timings) = (&mut self.lanes, &mut self.timings);
         let mut states = Vec::new();
         let commands = self.signals.decide(actions)?;
-        if observer.is_some() {
-            simulation.watch_events()?;
-        }
         for command in commands {
             let Command::Run { seconds } = command else {
                 states.extend(shown(&self.layout, command));
@@ -301,9 +298,7 @@ fn observe_second(
     timings: &mut Timings,
     observer: &mut dyn SecondObserver,
 ) -> Result<(), TraciError> {
-    let (traffic, events) = timed(&mut timings.traci, || -> Result<_, TraciError> {
-        Ok((simulation.count(lanes)?, simulation.events()?))
-    })?;
+    let (traffic, events) = timed(&mut timings.traci, || simulation.count_second(lanes))?;
     observer.second(&SecondView {
         time: simulation.time(),
         lanes,

@@ -1,25 +1,20 @@
-//! One running SUMO: shows signal states, lets time pass, hands over what it reports.
+//! One running SUMO: shows signal states, lets time pass, reads the vehicles.
+//!
+//! A standing subscription looks convenient, but SUMO evaluates it after every simulated second, however many seconds one
+//! `simulationStep` command covers; for all vehicles of a grid that makes an episode half as long again. So all vehicles
+//! are subscribed to when they are wanted, which brings their values at once, and unsubscribed in the same message.
 
 use super::EnvOptions;
 use super::arguments::arguments;
 use crate::lanes::LaneTable;
 use crate::scenario::Scenario;
 use cross_traci::constants::{Domain, simulation, vehicle};
-use cross_traci::{DecodeError, ExitReport, Object, Subscription, SubscriptionResults};
-use cross_traci::{Sumo, SumoCommand, SumoHome, TraciError};
+use cross_traci::{Batch, DecodeError, ExitReport, Object, Replies, Sumo, SumoCommand, SumoHome, TraciError};
 
 /// Metres around the anchor junction within which vehicles are reported: no network reaches farther.
 const EVERYWHERE: f64 = 1e7;
 /// What is read of each vehicle.
 const VEHICLE: [u8; 3] = [vehicle::LANE_ID, vehicle::LANE_POSITION, vehicle::SPEED];
-/// What is read of the simulation when every second is watched; SUMO counts events over its last second only.
-const EVENTS: [u8; 4] = [
-    simulation::ARRIVED_NUMBER,
-    simulation::DEPARTED_NUMBER,
-    simulation::TELEPORT_STARTING_NUMBER,
-    simulation::PENDING_VEHICLES,
-];
-
 /// A traffic light and the state it is to show.
 pub(super) type Shown<'a> = (&'a str, &'a str);
 
@@ -29,7 +24,6 @@ pub(super) struct Simulation {
     /// Some junction, which the subscription to all vehicles is anchored at.
     anchor: String,
     time: f64,
-    watches_events: bool,
 }
 
 /// Vehicles in the network at one moment.
@@ -49,7 +43,7 @@ pub(super) struct Events {
 }
 
 impl Simulation {
-    /// Starts SUMO at the scenario's begin and subscribes to all vehicles.
+    /// Starts SUMO at the scenario's begin.
     pub(super) fn start(
         home: &SumoHome,
         scenario: &Scenario,
@@ -58,10 +52,8 @@ impl Simulation {
         anchor: &str,
     ) -> Result<Self, TraciError> {
         let command = SumoCommand::new().args(arguments(scenario, options, seed));
-        let mut sumo = Sumo::start(home, &command, options.timeout)?;
-        sumo.client().subscribe_context(Domain::Junction, anchor, EVERYWHERE, Domain::Vehicle, &VEHICLE)?;
-        let time = f64::from(scenario.begin);
-        Ok(Self { sumo, anchor: anchor.to_owned(), time, watches_events: false })
+        let sumo = Sumo::start(home, &command, options.timeout)?;
+        Ok(Self { sumo, anchor: anchor.to_owned(), time: f64::from(scenario.begin) })
     }
 
     /// Simulated time, seconds.
@@ -71,15 +63,6 @@ impl Simulation {
 
     pub(super) fn pid(&self) -> u32 {
         self.sumo.pid()
-    }
-
-    /// Asks SUMO to report events from the next step on.
-    pub(super) fn watch_events(&mut self) -> Result<(), TraciError> {
-        if !self.watches_events {
-            self.sumo.client().subscribe(Domain::Simulation, "", &EVENTS)?;
-            self.watches_events = true;
-        }
-        Ok(())
     }
 
     /// Shows states on several lights, in one message.
@@ -99,31 +82,61 @@ impl Simulation {
         Ok(())
     }
 
-    /// Counts the vehicles that the last step reported into an emptied table.
+    /// Counts the vehicles of this moment into a table, which is emptied first.
     pub(super) fn count(&mut self, lanes: &mut LaneTable) -> Result<Traffic, TraciError> {
-        let results = self.sumo.client().subscriptions();
-        let vehicles = found(
-            results.find_context(Domain::Junction, &self.anchor, Domain::Vehicle),
-            "the subscription to all vehicles",
-        )?;
-        lanes.clear();
-        let mut speeds = 0.0;
-        for vehicle in vehicles.objects() {
-            speeds += count_vehicle(lanes, vehicle).map_err(unreadable)?;
-        }
-        let running = vehicles.len();
-        Ok(Traffic { running: saturating(running), mean_speed: speeds / running.max(1) as f64 })
+        let mut batch = self.sumo.client().batch();
+        ask_for_vehicles(&mut batch, &self.anchor);
+        count(lanes, &batch.send()?)
     }
 
-    /// What the last step, of one second, reported after [`watch_events`](Self::watch_events).
-    pub(super) fn events(&mut self) -> Result<Events, TraciError> {
-        read_events(self.sumo.client().subscriptions())
+    /// As [`count`](Self::count), with what happened in the last second; to be called after each second.
+    pub(super) fn count_second(&mut self, lanes: &mut LaneTable) -> Result<(Traffic, Events), TraciError> {
+        let mut batch = self.sumo.client().batch();
+        ask_for_vehicles(&mut batch, &self.anchor);
+        let first = batch.len();
+        let variables = [
+            simulation::ARRIVED_NUMBER,
+            simulation::DEPARTED_NUMBER,
+            simulation::TELEPORT_STARTING_NUMBER,
+            simulation::PENDING_VEHICLES,
+        ];
+        for variable in variables {
+            batch.get(Domain::Simulation, variable, "");
+        }
+        let replies = batch.send()?;
+        let number = |place: usize| replies.int(first + place).map(|count| u32::try_from(count).unwrap_or(0));
+        let pending = replies.value(first + 3)?.strings().map_err(unreadable)?;
+        let events = Events {
+            arrived: number(0)?,
+            departed: number(1)?,
+            teleports: number(2)?,
+            waiting_to_enter: saturating(pending.len()),
+        };
+        Ok((count(lanes, &replies)?, events))
     }
 
     /// Ends SUMO in order, so that its output files are complete.
     pub(super) fn close(self) -> Result<ExitReport, TraciError> {
         self.sumo.close()
     }
+}
+
+/// Subscribes to all vehicles and unsubscribes again: the first and second commands of the batch.
+fn ask_for_vehicles(batch: &mut Batch<'_>, anchor: &str) {
+    batch.subscribe_context(Domain::Junction, anchor, EVERYWHERE, Domain::Vehicle, &VEHICLE);
+    batch.subscribe_context(Domain::Junction, anchor, EVERYWHERE, Domain::Vehicle, &[]);
+}
+
+/// Counts the vehicles that [`ask_for_vehicles`] brought.
+fn count(lanes: &mut LaneTable, replies: &Replies<'_>) -> Result<Traffic, TraciError> {
+    let vehicles = replies.subscription(0)?;
+    lanes.clear();
+    let mut speeds = 0.0;
+    for vehicle in vehicles.objects() {
+        speeds += count_vehicle(lanes, vehicle).map_err(unreadable)?;
+    }
+    let running = vehicles.len();
+    Ok(Traffic { running: saturating(running), mean_speed: speeds / running.max(1) as f64 })
 }
 
 /// Counts one vehicle and returns its speed.
@@ -141,35 +154,8 @@ fn count_vehicle(lanes: &mut LaneTable, vehicle: Object<'_>) -> Result<f64, Deco
     Ok(speed)
 }
 
-fn read_events(results: SubscriptionResults<'_>) -> Result<Events, TraciError> {
-    let simulation = found(results.find(Domain::Simulation, ""), "the subscription to the simulation")?;
-    let mut events = Events::default();
-    for object in simulation.objects() {
-        for (variable, value) in object.values() {
-            let number = || value.int().map(|count| u32::try_from(count).unwrap_or(0)).map_err(unreadable);
-            match variable {
-                simulation::ARRIVED_NUMBER => events.arrived = number()?,
-                simulation::DEPARTED_NUMBER => events.departed = number()?,
-                simulation::TELEPORT_STARTING_NUMBER => events.teleports = number()?,
-                simulation::PENDING_VEHICLES => {
-                    events.waiting_to_enter = saturating(value.strings().map_err(unreadable)?.len());
-                }
-                _ => {}
-            }
-        }
-    }
-    Ok(events)
-}
-
-fn found<'a>(
-    subscription: Option<Subscription<'a>>,
-    expected: &'static str,
-) -> Result<Subscription<'a>, TraciError> {
-    subscription.ok_or_else(|| unreadable(DecodeError::Type { expected, found: "nothing" }))
-}
-
 fn unreadable(source: DecodeError) -> TraciError {
-    let command = "the simulation step".to_owned();
+    let command = "reading the traffic".to_owned();
     TraciError::Protocol { command, source, evidence: Box::default() }
 }
 
