@@ -3,11 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Skips the check that programs are newer than the sources: for testing an installed build.
+/// Skips the check that programs are newer than their sources: for testing an installed build.
 const ALLOW_STALE: &str = "CROSS_TESTS_ALLOW_STALE";
-
-/// Crates that end up in the programs.
-const CRATES: [&str; 8] = ["config", "traci", "sim", "proto", "model", "actor", "learner", "cli"];
 
 /// Path of `cross`, `cross-learner` or `cross-actor` in the target directory of this test.
 ///
@@ -18,40 +15,26 @@ pub fn binary(name: &str) -> PathBuf {
     // target/release/deps/some_test-0123 -> target/release/name
     let own = std::env::current_exe().unwrap();
     let path = own.ancestors().nth(2).unwrap().join(name);
-    let Ok(built) = path.metadata().and_then(|metadata| metadata.modified()) else {
+    let Some(built) = modified(&path) else {
         panic!("{} is not there; run make build", path.display());
     };
     if std::env::var_os(ALLOW_STALE).is_none() {
-        let (newest, file) = newest_source();
-        assert!(built >= newest, "{} is older than {}; run make build", path.display(), file.display());
+        for source in sources(&path.with_extension("d")) {
+            let newer = modified(&source).is_none_or(|changed| changed > built);
+            assert!(!newer, "{} is older than {}; run make build", path.display(), source.display());
+        }
     }
     path
 }
 
-/// The folder of the whole project.
-#[must_use]
-pub fn project() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
+fn modified(path: &Path) -> Option<SystemTime> {
+    path.metadata().and_then(|metadata| metadata.modified()).ok()
 }
 
-fn newest_source() -> (SystemTime, PathBuf) {
-    let mut newest = (SystemTime::UNIX_EPOCH, PathBuf::new());
-    for name in CRATES {
-        visit(&project().join(name).join("src"), &mut newest);
-    }
-    newest
-}
-
-fn visit(directory: &Path, newest: &mut (SystemTime, PathBuf)) {
-    for entry in std::fs::read_dir(directory).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            visit(&path, newest);
-        } else if path.extension().is_some_and(|extension| extension == "rs") {
-            let modified = path.metadata().unwrap().modified().unwrap();
-            if modified > newest.0 {
-                *newest = (modified, path);
-            }
-        }
-    }
+/// The files that cargo says a program was made of: `program: file file ...`, blanks in names escaped.
+fn sources(dependencies: &Path) -> Vec<PathBuf> {
+    let text = std::fs::read_to_string(dependencies).unwrap_or_default();
+    let (_, files) = text.split_once(": ").unwrap_or_default();
+    let files = files.trim().replace("\\ ", "\0");
+    files.split(' ').filter(|file| !file.is_empty()).map(|file| file.replace('\0', " ").into()).collect()
 }

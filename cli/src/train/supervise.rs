@@ -180,7 +180,8 @@ impl Supervisor {
         let mut commands = Vec::new();
         match event {
             Event::LearnerReady => self.learner_ready(&mut commands),
-            Event::LearnerLeaving => self.learner_leaving = true,
+            // One that has ended since is not leaving any more.
+            Event::LearnerLeaving => self.learner_leaving = self.learner == Process::Running,
             Event::LearnerExited { exit, complete } => {
                 self.learner_exited(now, exit, complete, &mut commands)
             }

@@ -49,15 +49,19 @@ pub(crate) struct Watch {
 }
 
 impl Watch {
-    /// Takes over SIGINT and SIGTERM from here on.
+    /// Takes over SIGINT, SIGTERM and SIGHUP from here on.
     pub(crate) fn start() -> std::io::Result<Self> {
         let inbox = Arc::new(Inbox::default());
         let (address, learner) = watch::channel(None);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        // Before the thread starts, so that no signal can slip through.
-        let (interrupt, terminate) = {
+        // Before the thread starts, so that no signal can slip through. A terminal that closes asks for an orderly end too.
+        let (interrupt, terminate, hang_up) = {
             let _inside = runtime.enter();
-            (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?)
+            (
+                signal(SignalKind::interrupt())?,
+                signal(SignalKind::terminate())?,
+                signal(SignalKind::hangup())?,
+            )
         };
         let theirs = Arc::clone(&inbox);
         std::thread::Builder::new().name("watch".to_owned()).spawn(move || {
@@ -65,6 +69,7 @@ impl Watch {
                 tokio::select! {
                     () = listen(interrupt, &theirs) => {}
                     () = listen(terminate, &theirs) => {}
+                    () = listen(hang_up, &theirs) => {}
                     () = follow(learner, &theirs) => {}
                 }
             });
