@@ -1,4 +1,27 @@
-//! The learner.
+//! The learner: takes trajectory fragments from actors, trains on them, publishes weights, keeps checkpoints.
+//!
+//! ```text
+//!            service/ (gRPC)                coordinator/                 trainer.rs (own thread)
+//!  actors ── fragments ── decode, check ──> admission/ ── round ──────> PPO update ──> checkpoint/
+//!     ^                                        │                            │          metrics_log.rs
+//!     ├────────── acknowledgements, episodes ──┘                            │
+//!     └────────── weights (publish.rs) <────────────────────────────────────┘
+//! ```
+//! [`admission`] holds the rules and does no I/O; the coordinator owns it and does what it commands; the trainer thread
+//! alone touches libtorch and the disk. [`checkpoint`] is also how other programs read what a learner wrote.
+
+mod admin;
 pub mod admission;
 pub mod checkpoint;
+mod coordinator;
 mod files;
+mod learner;
+pub mod metrics_log;
+pub mod publish;
+pub mod run_dir;
+mod service;
+pub mod telemetry;
+mod trainer;
+
+pub use coordinator::{Ending, Life};
+pub use learner::{Learner, ScenarioLayout, Setup, find_checkpoint, load_scenarios};

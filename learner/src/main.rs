@@ -1,2 +1,185 @@
-//! Entry point.
-fn main() {}
+//! The learner process: options, configuration, checkpoint, sockets, serve, drain.
+
+mod options;
+
+use anyhow::Context;
+use clap::Parser;
+use cross_config::Config;
+use cross_learner::run_dir::{Listening, RunDir};
+use cross_learner::{Ending, Learner, Setup, checkpoint, find_checkpoint, load_scenarios};
+use options::{LogFormat, Options};
+use std::net::SocketAddr;
+use std::process::ExitCode;
+use std::time::Duration;
+use tokio::net::TcpListener;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+
+/// Why the process ends without having done its work.
+enum Failure {
+    /// What was asked for cannot be done; a person has to change it.
+    Input(anyhow::Error),
+    /// Anything else.
+    Other(anyhow::Error),
+}
+
+impl From<anyhow::Error> for Failure {
+    fn from(error: anyhow::Error) -> Self {
+        Self::Other(error)
+    }
+}
+
+/// For `map_err`: the user's to mend.
+fn input(error: impl Into<anyhow::Error>) -> Failure {
+    Failure::Input(error.into())
+}
+
+fn main() -> ExitCode {
+    let options = Options::parse();
+    init_logging(options.log_format);
+    let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
+        Ok(runtime) => runtime,
+        Err(error) => return end(&options, &Failure::Other(error.into())),
+    };
+    let result = runtime.block_on(run(&options));
+    // What still runs now is a client's idle connection or a thread that is past its deadline.
+    runtime.shutdown_timeout(Duration::from_millis(200));
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => end(&options, &failure),
+    }
+}
+
+async fn run(options: &Options) -> Result<(), Failure> {
+    if let Some((option, address)) = options.exposed() {
+        return Err(input(anyhow::anyhow!(
+            "{option} {address} can be reached from other machines, and nothing is encrypted; \
+             use a loopback address, or pass --insecure inside a network that you trust"
+        )));
+    }
+    let config = Config::from_file(&options.config).map_err(input)?;
+    let scenarios = load_scenarios(&config, options.scenarios.as_deref()).map_err(input)?;
+    let run = RunDir::open(&options.run).map_err(input)?;
+    let resumed = if options.resume {
+        find_checkpoint(run.path(), &config).map_err(input)?
+    } else {
+        refuse_old_checkpoints(&run)?;
+        None
+    };
+    if options.resume && resumed.is_none() {
+        tracing::warn!(run = %run.path().display(), "there is no checkpoint to resume; starting at the beginning");
+    }
+    let known = resumed.as_ref().map(|resumed| resumed.checkpoint.metadata.run_id.as_str());
+    let run_id = run.identity(known).map_err(input)?;
+
+    let mut signals = Signals::new()?;
+    let grpc = bind("--listen", options.listen).await?;
+    let metrics = bind("--metrics-listen", options.metrics_listen).await?;
+    let addresses = (address(&grpc)?, address(&metrics)?);
+    let drain_deadline = Duration::from_secs(config.learner.drain_seconds);
+    tracing::info!(
+        run = %run.path().display(),
+        run_id,
+        scenarios = ?scenarios.iter().map(|(name, layout)| (name, layout.agents())).collect::<Vec<_>>(),
+        updates = config.updates,
+        seed = config.seed,
+        serial = config.learner.serial,
+        config_hash = config.hash(),
+        "starting"
+    );
+    let setup = Setup { config, scenarios, run: run.path().to_owned(), run_id: run_id.clone(), resumed };
+    let learner = Learner::start(setup, grpc, metrics)?;
+    let (session_epoch, drain) = (learner.session_epoch(), learner.drain());
+
+    // From here on a signal drains; a second one, or a drain that takes too long, ends the process at once.
+    tokio::spawn(async move {
+        signals.next().await;
+        drain.cancel();
+        tokio::select! {
+            () = signals.next() => tracing::error!("second signal: ending without a checkpoint"),
+            () = tokio::time::sleep(drain_deadline) => {
+                tracing::error!(seconds = drain_deadline.as_secs(), "learner.drain_seconds are over: ending as it is");
+            }
+        }
+        std::process::exit(1);
+    });
+    if learner.ready().await {
+        let (grpc, metrics) = addresses;
+        run.announce(&Listening { pid: std::process::id(), grpc, metrics, session_epoch, run_id })
+            .map_err(anyhow::Error::from)?;
+        tracing::info!(%grpc, %metrics, "serving");
+    }
+    let ending = learner.finished().await;
+    if let Err(error) = run.withdraw() {
+        tracing::warn!("{error}");
+    }
+    match ending {
+        Ending::Complete => tracing::info!("training is complete"),
+        Ending::Drained => tracing::info!("stopped; --resume goes on from here"),
+        Ending::Failed(problem) => return Err(Failure::Other(anyhow::anyhow!(problem))),
+    }
+    Ok(())
+}
+
+/// A new run must not mix its checkpoints with those of an earlier one.
+fn refuse_old_checkpoints(run: &RunDir) -> Result<(), Failure> {
+    let found = checkpoint::reader::list(run.path()).map_err(input)?.len();
+    if found == 0 {
+        return Ok(());
+    }
+    Err(input(anyhow::anyhow!(
+        "the run directory {} already holds {found} checkpoints; pass --resume to go on, or name another directory",
+        run.path().display()
+    )))
+}
+
+async fn bind(option: &str, address: SocketAddr) -> anyhow::Result<TcpListener> {
+    let remedy = "choose another port, or 0 for a free one";
+    TcpListener::bind(address).await.with_context(|| format!("cannot listen on {option} {address}; {remedy}"))
+}
+
+fn address(listener: &TcpListener) -> anyhow::Result<SocketAddr> {
+    listener.local_addr().context("cannot tell the address of a listening socket")
+}
+
+/// SIGTERM and SIGINT, which mean the same here.
+struct Signals {
+    terminate: Signal,
+    interrupt: Signal,
+}
+
+impl Signals {
+    fn new() -> anyhow::Result<Self> {
+        let listen = |kind| signal(kind).context("cannot listen for signals");
+        Ok(Self { terminate: listen(SignalKind::terminate())?, interrupt: listen(SignalKind::interrupt())? })
+    }
+
+    async fn next(&mut self) {
+        tokio::select! {
+            _ = self.terminate.recv() => {}
+            _ = self.interrupt.recv() => {}
+        }
+    }
+}
+
+fn init_logging(format: LogFormat) {
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    match format {
+        LogFormat::Text => builder.with_target(false).with_ansi(false).init(),
+        LogFormat::Json => builder.json().init(),
+    }
+}
+
+/// The last line of the log, and the exit code.
+fn end(options: &Options, failure: &Failure) -> ExitCode {
+    let (error, code) = match failure {
+        Failure::Input(error) => (error, 2),
+        Failure::Other(error) => (error, 1),
+    };
+    match options.log_format {
+        LogFormat::Text => eprintln!("error: {error:#}"),
+        LogFormat::Json => tracing::error!("{error:#}"),
+    }
+    ExitCode::from(code)
+}

@@ -1,6 +1,6 @@
 //! What actors say on their streams, what the trainer reports, and what people ask for.
 
-use super::types::{CloseReason, Command, Outcome, StreamId};
+use super::types::{CloseReason, Command, Dropped, Outcome, StreamId};
 use super::Admission;
 use cross_sim::trajectory::{Fragment, FragmentEnd};
 use std::collections::BTreeSet;
@@ -168,9 +168,29 @@ impl Admission {
 
     /// The update is done and published as `policy_version`: data that has become too old goes, what waited moves on.
     pub fn updated(&mut self, policy_version: u64) -> Vec<Command> {
-        self.updating = false;
+        self.in_training = None;
         self.policy_version = self.policy_version.max(policy_version);
         self.drop_stale();
+        self.go_on()
+    }
+
+    /// The update gave nothing: the version stays, the round's data is lost and counted, and another round is collected.
+    pub fn update_failed(&mut self) -> Vec<Command> {
+        if let Some(taken) = self.in_training.take() {
+            self.progress.updates -= 1;
+            for ((scenario, buffer), (fragments, decisions)) in
+                self.settings.scenarios.iter().zip(&mut self.buffers).zip(taken)
+            {
+                self.progress.decisions -= decisions;
+                self.progress.scenarios.entry(scenario.name.clone()).or_default().decisions -= decisions;
+                *buffer.dropped.entry(Dropped::UpdateFailed).or_default() += fragments;
+            }
+        }
+        self.go_on()
+    }
+
+    /// What an update held back.
+    fn go_on(&mut self) -> Vec<Command> {
         for (actor, episode, sequence) in std::mem::take(&mut self.deferred) {
             self.acknowledge(&actor, episode, sequence, Outcome::Accepted);
         }

@@ -83,13 +83,16 @@ impl Admission {
     /// Hands a round out if there is one and none is in training.
     fn start_update(&mut self) -> bool {
         let wanted = self.progress.updates < self.settings.updates;
-        if self.updating || self.paused || self.stopping || !wanted || !self.round_is_ready() {
+        if self.is_updating() || self.paused || self.stopping || !wanted || !self.round_is_ready() {
             return false;
         }
         let mut fragments = Vec::new();
+        let mut taken = Vec::new();
         for (i, scenario) in self.settings.scenarios.iter().enumerate() {
+            let before = fragments.len();
             let steps = self.buffers[i].take(self.settings.round_steps, &mut fragments);
             let decisions = steps * scenario.agents as u64;
+            taken.push(((fragments.len() - before) as u64, decisions));
             self.progress.decisions += decisions;
             let entry = self.progress.scenarios.entry(scenario.name.clone()).or_default();
             entry.decisions += decisions;
@@ -100,7 +103,7 @@ impl Admission {
             self.finished[i] = Finished::default();
         }
         self.progress.updates += 1;
-        self.updating = true;
+        self.in_training = Some(taken);
         let lag = lag(&fragments, self.policy_version);
         self.commands.push(Command::Update(Round { fragments, lag, progress: self.progress.clone() }));
         true
@@ -122,7 +125,7 @@ impl Admission {
     /// the scenario with the least supply.
     fn assign(&mut self) {
         let last_round_taken = self.progress.updates >= self.settings.updates;
-        if self.stopping || last_round_taken || (self.settings.serial && (self.updating || self.round_is_ready())) {
+        if self.stopping || last_round_taken || (self.settings.serial && (self.is_updating() || self.round_is_ready())) {
             return;
         }
         while let Some(id) = self.requests.pop_front() {
@@ -170,7 +173,7 @@ impl Admission {
     /// limit until it takes its next episode, which by the rule of assignment is the short scenario's.
     fn rescue(&mut self) {
         // After an update in progress its buffers are drained and this is asked again.
-        if self.rescued.is_some() || self.stopping || self.updating {
+        if self.rescued.is_some() || self.stopping || self.is_updating() {
             return;
         }
         for short in 0..self.buffers.len() {

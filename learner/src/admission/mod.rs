@@ -55,7 +55,8 @@ pub struct Admission {
     deferred: BTreeSet<(String, u64, u32)>,
     /// The actor whose fragments are inserted although a buffer is full; see `flow.rs`.
     rescued: Option<String>,
-    updating: bool,
+    /// What the round in training took of each scenario: fragments, decisions.
+    in_training: Option<Vec<(u64, u64)>>,
     paused: bool,
     stopping: bool,
     /// What the present event asks for.
@@ -81,7 +82,7 @@ impl Admission {
             again: VecDeque::new(),
             deferred: BTreeSet::new(),
             rescued: None,
-            updating: false,
+            in_training: None,
             paused: false,
             stopping: false,
             commands: Vec::new(),
@@ -115,7 +116,7 @@ impl Admission {
     /// Whether a round is being trained on.
     #[must_use]
     pub fn is_updating(&self) -> bool {
-        self.updating
+        self.in_training.is_some()
     }
 
     /// Whether updates are held back by [`pause`](Self::pause).
@@ -127,7 +128,7 @@ impl Admission {
     /// Whether all updates that were asked for are done.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.progress.updates >= self.settings.updates && !self.updating
+        self.progress.updates >= self.settings.updates && !self.is_updating()
     }
 
     /// Streams that are open.

@@ -355,3 +355,15 @@ fn counters_go_on_from_a_checkpoint() {
     assert_eq!((progress.updates, progress.next_episode, progress.episodes), (5, 18, 16));
     assert_eq!(progress.decisions, 999 + 60);
 }
+
+#[test]
+fn a_failed_update_costs_its_round_and_nothing_more() {
+    let mut admission = joined(settings(&["x"]));
+    request(&mut admission, 1).unwrap();
+    assert!(round(&episode(&mut admission, 1, "a", "x", 0)).is_some());
+    admission.update_failed();
+    assert_eq!((admission.progress().updates, admission.progress().decisions), (0, 0));
+    assert_eq!((admission.policy_version(), admission.dropped(0, Dropped::UpdateFailed)), (1, 3));
+    request(&mut admission, 1).unwrap();
+    assert_eq!(round(&episode(&mut admission, 1, "a", "x", 1)).unwrap().progress.updates, 1);
+}

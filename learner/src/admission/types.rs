@@ -99,11 +99,14 @@ pub enum Dropped {
     Aborted,
     /// It was not yet acknowledged when its actor's lease ended.
     ActorLost,
+    /// The update that took it failed.
+    UpdateFailed,
 }
 
 impl Dropped {
     /// Every reason, so that counters exist before the first event.
-    pub const ALL: [Self; 4] = [Self::Stale, Self::Overflow, Self::Aborted, Self::ActorLost];
+    pub const ALL: [Self; 5] =
+        [Self::Stale, Self::Overflow, Self::Aborted, Self::ActorLost, Self::UpdateFailed];
 
     /// Label value in metrics.
     #[must_use]
@@ -113,6 +116,7 @@ impl Dropped {
             Self::Overflow => "overflow",
             Self::Aborted => "aborted",
             Self::ActorLost => "actor_lost",
+            Self::UpdateFailed => "update_failed",
         }
     }
 }

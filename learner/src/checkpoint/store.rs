@@ -64,8 +64,7 @@ impl Store {
             let _ = std::fs::remove_dir_all(&aside);
             return Err(error);
         }
-        let latest = self.folder.join(LATEST_FILE);
-        replace_file(&latest, format!("{id}\n").as_bytes()).map_err(CheckpointError::io("write", &latest))?;
+        self.point_latest(&id)?;
         self.prune(&id);
         Ok(id)
     }
@@ -100,6 +99,30 @@ impl Store {
             std::fs::remove_dir_all(&replaced).map_err(CheckpointError::io("remove", &replaced))?;
         }
         Ok(())
+    }
+
+    /// After a resumption that passed damaged checkpoints over: renames those, so that nobody trips over them and a person can
+    /// still look, and points `latest` at the one in use.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Io`].
+    pub fn fall_back(&self, to: &str) -> Result<(), CheckpointError> {
+        for name in self.names()? {
+            if updates_of(&name) > updates_of(to) {
+                let path = self.folder.join(&name);
+                let damaged = self.folder.join(format!("damaged-{name}"));
+                if damaged.exists() {
+                    std::fs::remove_dir_all(&damaged).map_err(CheckpointError::io("remove", &damaged))?;
+                }
+                std::fs::rename(&path, &damaged).map_err(CheckpointError::io("rename", &path))?;
+            }
+        }
+        self.point_latest(to)
+    }
+
+    fn point_latest(&self, id: &str) -> Result<(), CheckpointError> {
+        let latest = self.folder.join(LATEST_FILE);
+        replace_file(&latest, format!("{id}\n").as_bytes()).map_err(CheckpointError::io("write", &latest))
     }
 
     /// Removes the oldest checkpoints. A failure costs disk space and nothing else, so it is only logged.

@@ -133,6 +133,10 @@ fn every_damage_gives_one_sentence_that_names_the_file() {
         let resumed = reader::resume(run.path(), COMPATIBLE).unwrap().unwrap();
         assert_eq!(resumed.checkpoint.metadata.updates, 1);
         assert_eq!(resumed.skipped[0].to_string(), text);
+        Store::open(run.path(), 10).unwrap().fall_back(&resumed.checkpoint.metadata.id).unwrap();
+        assert!(reader::find(run.path(), "latest").unwrap().ends_with("000001"));
+        assert!(run.path().join(FOLDER).join("damaged-000002").is_dir());
+        fs::rename(run.path().join(FOLDER).join("damaged-000002"), &path).unwrap();
         damage(&run.path().join(FOLDER).join("000001"));
         let none = reader::resume(run.path(), COMPATIBLE).unwrap_err().to_string();
         assert!(none.contains("none of the 2") && none.contains(&text), "{none}");

@@ -1,0 +1,176 @@
+//! `metrics.jsonl`: one line per update, for curves, reports and comparisons.
+//!
+//! Everything in a line but `time` and `timing` follows from the data alone: two serial runs of one seed write equal lines.
+
+use crate::admission::{Lag, Progress};
+use crate::files::replace_file;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
+use std::path::Path;
+
+/// Name of the file in a run directory.
+pub const FILE: &str = "metrics.jsonl";
+
+/// One update.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Line {
+    /// Number of the update, from 1.
+    pub update: u64,
+    /// Version of the weights that it gave.
+    pub policy_version: u64,
+    /// Agent-decisions trained on so far.
+    pub decisions: u64,
+    /// Episodes finished so far.
+    pub episodes: u64,
+    /// By scenario.
+    pub scenarios: BTreeMap<String, ScenarioLine>,
+    /// Loss terms by name, before their weights.
+    pub losses: BTreeMap<String, f64>,
+    /// `approx_kl`, `clip_fraction`, `explained_variance`, gradient norms, learning rates.
+    pub diagnostics: BTreeMap<String, f64>,
+    /// Share of the gating weight per expert.
+    pub expert_usage: Vec<f64>,
+    /// Mean assignment per cluster.
+    pub cluster_usage: Vec<f64>,
+    /// Policy versions that the data was behind.
+    pub lag: Lag,
+    /// When the update was done, seconds since 1970.
+    pub time: f64,
+    /// How long things took.
+    pub timing: Timing,
+}
+
+/// A scenario in a [`Line`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScenarioLine {
+    /// Finished episodes so far.
+    pub episodes: u64,
+    /// Agent-decisions trained on so far.
+    pub decisions: u64,
+    /// Mean over the agents of the summed raw reward, mean over the newest finished episodes.
+    pub episode_return: Option<f64>,
+    /// Stopped vehicles within reward range per incoming lane, over the same episodes.
+    pub queue_length: Option<f64>,
+}
+
+/// Durations of an update, seconds.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Timing {
+    /// From the end of the update before to the start of this one: waiting for data.
+    pub collect_seconds: f64,
+    /// The update itself.
+    pub update_seconds: f64,
+    /// Since this learner process started.
+    pub uptime_seconds: f64,
+}
+
+impl Line {
+    /// The scenarios' part, from the counters.
+    #[must_use]
+    pub fn scenarios(progress: &Progress) -> BTreeMap<String, ScenarioLine> {
+        progress
+            .scenarios
+            .iter()
+            .map(|(name, s)| {
+                let line = ScenarioLine {
+                    episodes: s.episodes,
+                    decisions: s.decisions,
+                    episode_return: s.episode_return,
+                    queue_length: s.queue_length,
+                };
+                (name.clone(), line)
+            })
+            .collect()
+    }
+}
+
+/// The open file.
+#[derive(Debug)]
+pub struct MetricsLog {
+    file: File,
+}
+
+impl MetricsLog {
+    /// Opens a run's file to go on after `updates`. Lines of later updates are removed: a learner that was killed wrote them
+    /// after its last checkpoint, and those updates are now done again. So is a line that was cut short.
+    ///
+    /// # Errors
+    /// Any of reading or writing the file.
+    pub fn open(run: &Path, updates: u64) -> io::Result<Self> {
+        let path = run.join(FILE);
+        let text = match std::fs::read(&path) {
+            Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
+            Err(error) => return Err(error),
+        };
+        #[derive(Deserialize)]
+        struct Update {
+            update: u64,
+        }
+        let kept: String = text
+            .split_inclusive('\n')
+            .filter(|line| line.ends_with('\n'))
+            .filter(|line| serde_json::from_str::<Update>(line).is_ok_and(|line| line.update <= updates))
+            .collect();
+        if kept != text {
+            replace_file(&path, kept.as_bytes())?;
+        }
+        let file = OpenOptions::new().create(true).append(true).open(&path)?;
+        Ok(Self { file })
+    }
+
+    /// Appends a line, in one write, so that a reader sees a whole line or none.
+    ///
+    /// # Errors
+    /// Of the write.
+    pub fn append(&mut self, line: &Line) -> io::Result<()> {
+        let mut text = serde_json::to_vec(line)?;
+        text.push(b'\n');
+        self.file.write_all(&text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(update: u64) -> Line {
+        Line {
+            update,
+            policy_version: update + 1,
+            decisions: 0,
+            episodes: 0,
+            scenarios: BTreeMap::new(),
+            losses: BTreeMap::new(),
+            diagnostics: BTreeMap::new(),
+            expert_usage: Vec::new(),
+            cluster_usage: Vec::new(),
+            lag: Lag::default(),
+            time: 0.0,
+            timing: Timing::default(),
+        }
+    }
+
+    fn updates(run: &Path) -> Vec<u64> {
+        let text = std::fs::read_to_string(run.join(FILE)).unwrap();
+        text.lines().map(|line| serde_json::from_str::<Line>(line).unwrap().update).collect()
+    }
+
+    #[test]
+    fn resuming_removes_lines_that_will_come_again_and_torn_ones() {
+        let run = tempfile::tempdir().unwrap();
+        let mut log = MetricsLog::open(run.path(), 0).unwrap();
+        for update in 1..=5 {
+            log.append(&line(update)).unwrap();
+        }
+        drop(log);
+        let mut text = std::fs::read_to_string(run.path().join(FILE)).unwrap();
+        text.push_str("{\"update\": 2, \"pol");
+        std::fs::write(run.path().join(FILE), text).unwrap();
+        let mut log = MetricsLog::open(run.path(), 3).unwrap();
+        log.append(&line(4)).unwrap();
+        assert_eq!(updates(run.path()), [1, 2, 3, 4]);
+    }
+}

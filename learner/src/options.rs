@@ -1,0 +1,106 @@
+//! Command line.
+
+use clap::{Parser, ValueEnum};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+/// How log lines look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object a line, for machines.
+    Json,
+}
+
+/// Trains CROSS on what actors send: the learner process.
+///
+/// `cross train` starts it together with actors on one machine, so most people never type this. On a cluster, start one
+/// learner, then point any number of actors at its address.
+#[derive(Debug, Parser)]
+#[command(version, after_help = AFTER_HELP)]
+pub(crate) struct Options {
+    /// Configuration of the run, TOML; unknown keys are refused by name
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: PathBuf,
+
+    /// Run directory: checkpoints, metrics.jsonl, learner.json; created if missing
+    #[arg(long, value_name = "DIR")]
+    pub(crate) run: PathBuf,
+
+    /// Go on from the newest checkpoint in the run directory; without one, start at the beginning
+    #[arg(long)]
+    pub(crate) resume: bool,
+
+    /// Address for actors and clients (gRPC); port 0 takes a free one, which learner.json tells
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0", env = "CROSS_LEARNER_LISTEN")]
+    pub(crate) listen: SocketAddr,
+
+    /// Address for /metrics, /ready and /live (HTTP)
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0", env = "CROSS_LEARNER_METRICS_LISTEN")]
+    pub(crate) metrics_listen: SocketAddr,
+
+    /// Allow addresses that other machines can reach, without encryption: only inside a network that you trust
+    #[arg(long, env = "CROSS_INSECURE")]
+    pub(crate) insecure: bool,
+
+    /// Folder with scenarios, searched before $CROSS_SCENARIOS and the ones beside the program
+    #[arg(long, value_name = "DIR")]
+    pub(crate) scenarios: Option<PathBuf>,
+
+    /// Log lines on standard error: text or json; RUST_LOG sets the level (info by default)
+    #[arg(long, value_name = "FORMAT", default_value = "text", env = "CROSS_LOG_FORMAT")]
+    pub(crate) log_format: LogFormat,
+}
+
+const AFTER_HELP: &str = "\
+Life of the process:
+  It reads the networks of all scenarios (SUMO is not needed), takes up the newest checkpoint with
+  --resume, listens, and writes RUN/learner.json: {\"pid\", \"grpc\", \"metrics\", \"session_epoch\", \"run_id\"}.
+  It ends by itself when config.updates are done. SIGTERM or Ctrl-C lets the update in progress finish,
+  writes a checkpoint, sends the actors away and ends within learner.drain_seconds; a second signal ends it at once.
+
+Exit codes:
+  0 training is complete, or was stopped and can be resumed
+  2 the configuration, a scenario, the run directory or a checkpoint cannot be used
+  1 anything else
+
+Examples:
+  cross-learner --config configs/default.toml --run runs/first
+  cross-learner --config runs/first/config.toml --run runs/first --resume
+  cross-learner --config c.toml --run r --listen 0.0.0.0:7400 --metrics-listen 0.0.0.0:7401 --insecure
+  cross-actor --learner http://127.0.0.1:7400 --actor-id a0";
+
+impl Options {
+    /// The first address that other machines could reach, unless that was allowed.
+    pub(crate) fn exposed(&self) -> Option<(&'static str, SocketAddr)> {
+        [("--listen", self.listen), ("--metrics-listen", self.metrics_listen)]
+            .into_iter()
+            .find(|(_, address)| !self.insecure && !address.ip().is_loopback())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    fn parse(more: &[&str]) -> Options {
+        let fixed = ["cross-learner", "--config", "c.toml", "--run", "r"];
+        Options::try_parse_from(fixed.iter().chain(more)).unwrap()
+    }
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        Options::command().debug_assert();
+    }
+
+    #[test]
+    fn other_machines_need_a_word_of_consent() {
+        assert_eq!(parse(&[]).exposed(), None);
+        assert_eq!(parse(&["--listen", "[::1]:1"]).exposed(), None);
+        let exposed = parse(&["--metrics-listen", "0.0.0.0:1"]).exposed().unwrap();
+        assert_eq!(exposed.0, "--metrics-listen");
+        assert_eq!(parse(&["--listen", "0.0.0.0:1", "--insecure"]).exposed(), None);
+    }
+}

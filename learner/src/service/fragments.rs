@@ -1,0 +1,156 @@
+//! A fragment stream: checks what comes in and passes it on; answers come from the coordinator.
+
+use super::{COME_AGAIN, Shared};
+use crate::admission::{HelloRefusal, StreamId};
+use crate::coordinator::{Gone, Outbox, Request};
+use cross_proto::ids::ActorId;
+use cross_proto::status::{self, Reason};
+use cross_proto::v1::{self, stream_fragments_request::Message};
+use cross_proto::{Violation, fragment};
+use std::time::Duration;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tokio_util::sync::CancellationToken;
+use tonic::{Status, Streaming};
+
+/// Time for the hello after a stream is opened.
+const HELLO_TIMEOUT: Duration = Duration::from_secs(10);
+/// Answers to a stream beyond its acknowledgements: an assignment, a goodbye, an error, and slack for duplicates.
+const SPARE_ANSWERS: usize = 16;
+
+type Answer = Result<v1::StreamFragmentsResponse, Status>;
+
+/// Opens a stream on its hello.
+pub(super) async fn open(
+    shared: &Shared,
+    mut incoming: Streaming<v1::StreamFragmentsRequest>,
+) -> Result<ReceiverStream<Answer>, Status> {
+    let first = tokio::time::timeout(HELLO_TIMEOUT, incoming.message()).await;
+    let hello = match first {
+        Ok(message) => match message?.and_then(|request| request.message) {
+            Some(Message::Hello(hello)) => hello,
+            _ => return Err(unexpected("a stream begins with a hello")),
+        },
+        Err(_) => return Err(unexpected("no hello came after the stream was opened")),
+    };
+    let actor: String = ActorId::parse(&hello.actor_id, "hello.actor_id")?.into();
+    let stream = shared.coordinator.new_stream();
+    let (answers, outgoing) = mpsc::channel(shared.unacked_fragments + SPARE_ANSWERS);
+    let stopped = CancellationToken::new();
+    let outbox = Outbox::new(answers.clone(), stopped.clone());
+    let opened = shared
+        .coordinator
+        .ask(|reply| Request::Open { stream, actor, epoch: hello.session_epoch, outbox, reply })
+        .await?;
+    opened.map_err(|refusal| match refusal {
+        HelloRefusal::OldSession { .. } => status::error(Reason::OldSession, refusal.to_string()),
+        HelloRefusal::NotJoined { .. } => status::error(Reason::NotJoined, refusal.to_string()),
+    })?;
+    let reader = Reader { shared: shared.clone(), stream };
+    tokio::spawn(async move {
+        let ended = tokio::select! {
+            () = stopped.cancelled() => return,
+            ended = reader.read(incoming) => ended,
+        };
+        reader.end(ended, answers).await;
+    });
+    Ok(ReceiverStream::new(outgoing))
+}
+
+struct Reader {
+    shared: Shared,
+    stream: StreamId,
+}
+
+/// How a stream's incoming direction ended.
+enum Ended {
+    /// The actor finished it in order.
+    Left,
+    /// The connection broke.
+    Broken,
+    /// The actor broke a rule.
+    Refused { status: Status, scenario: Option<usize> },
+    /// The coordinator is gone.
+    Gone,
+}
+
+impl From<Gone> for Ended {
+    fn from(_: Gone) -> Self {
+        Self::Gone
+    }
+}
+
+impl Reader {
+    async fn read(&self, mut incoming: Streaming<v1::StreamFragmentsRequest>) -> Ended {
+        loop {
+            let message = match incoming.message().await {
+                Ok(Some(request)) => request.message,
+                Ok(None) => return Ended::Left,
+                // What cannot be decoded, or is too large, is the actor's fault; everything else the connection's.
+                Err(status) if matches!(status.code(), tonic::Code::Internal | tonic::Code::OutOfRange) => {
+                    return Ended::Refused { status, scenario: None };
+                }
+                Err(_) => return Ended::Broken,
+            };
+            if let Err(ended) = self.pass_on(message).await {
+                return ended;
+            }
+        }
+    }
+
+    async fn pass_on(&self, message: Option<Message>) -> Result<(), Ended> {
+        let stream = self.stream;
+        let refused = |status| Ended::Refused { status, scenario: None };
+        let request = match message {
+            Some(Message::Fragment(message)) => Request::Fragment(stream, Box::new(self.decode(message)?)),
+            Some(Message::EpisodeRequest(_)) => Request::Episode(stream),
+            Some(Message::EpisodeAborted(aborted)) => {
+                // Quoted in the log, so bounded.
+                let reason = aborted.reason.chars().filter(|c| !c.is_control()).take(64).collect();
+                Request::Aborted { stream, episode: aborted.episode, reason }
+            }
+            Some(Message::Heartbeat(_)) => Request::Heartbeat(stream),
+            Some(Message::Hello(_)) => return Err(refused(unexpected("a second hello came on the same stream"))),
+            None => return Err(refused(unexpected("an empty message, or one of a later protocol"))),
+        };
+        Ok(self.shared.coordinator.send(request).await?)
+    }
+
+    fn decode(&self, message: v1::Fragment) -> Result<cross_sim::trajectory::Fragment, Ended> {
+        let specs = &self.shared.specs;
+        let scenario = specs.iter().position(|spec| spec.scenario == message.scenario);
+        let decoded = match scenario {
+            Some(index) => fragment::decode(message, &specs[index]),
+            None => {
+                let names: Vec<&str> = specs.iter().map(|spec| spec.scenario.as_str()).collect();
+                let problem = format!("is {:?}; this run trains on {}", message.scenario, names.join(", "));
+                Err(Violation::new("fragment.scenario", problem))
+            }
+        };
+        decoded.map_err(|violation| Ended::Refused { status: status::invalid(&violation), scenario })
+    }
+
+    async fn end(&self, ended: Ended, answers: mpsc::Sender<Answer>) {
+        let stream = self.stream;
+        let request = match ended {
+            Ended::Left => Request::Left(stream),
+            Ended::Broken => Request::Disconnected(stream),
+            Ended::Refused { status, scenario } => {
+                let problem = status.message().to_owned();
+                // If the actor does not read its answers it learns only that the stream is over.
+                let _ = answers.try_send(Err(status));
+                Request::Invalid { stream, scenario, problem }
+            }
+            Ended::Gone => {
+                let _ = answers.try_send(Err(status::draining(COME_AGAIN)));
+                return;
+            }
+        };
+        // A coordinator that is gone has no bookkeeping to keep right.
+        let _ = self.shared.coordinator.send(request).await;
+    }
+}
+
+fn unexpected(problem: &str) -> Status {
+    status::error(Reason::UnexpectedMessage, problem)
+}

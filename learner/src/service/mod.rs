@@ -1,0 +1,126 @@
+//! The gRPC server: three services, health and reflection on one port.
+
+mod checkpoints;
+mod fragments;
+mod learner;
+mod training;
+mod weights;
+
+use crate::coordinator::{Gone, Handle, Life};
+use crate::publish::Newest;
+use cross_config::Config;
+use cross_proto::fragment::FragmentSpec;
+use cross_proto::server::{CheckpointsServer, LearnerServer, TrainingServer};
+use cross_proto::{service as names, status, v1};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+use tonic::Status;
+use tonic::transport::server::{Server, TcpIncoming};
+use tonic_health::ServingStatus;
+use tonic_health::server::{HealthReporter, HealthService};
+
+/// How long a refused caller should stay away.
+const COME_AGAIN: Duration = Duration::from_secs(2);
+
+/// What every service knows.
+#[derive(Debug, Clone)]
+pub(crate) struct Shared {
+    pub(crate) config: Arc<Config>,
+    pub(crate) run: PathBuf,
+    pub(crate) run_id: String,
+    pub(crate) session_epoch: u64,
+    /// Scenarios in the configuration's order.
+    pub(crate) specs: Arc<[FragmentSpec]>,
+    pub(crate) unacked_fragments: usize,
+    pub(crate) coordinator: Handle,
+    pub(crate) life: watch::Receiver<Life>,
+    pub(crate) newest: Newest,
+    pub(crate) status: watch::Receiver<v1::TrainingStatus>,
+    /// Cancelled when open streams have to end.
+    pub(crate) closing: CancellationToken,
+}
+
+impl Shared {
+    /// Waits while the model is being set up; an error once the learner is leaving.
+    async fn serving(&self) -> Result<(), Status> {
+        let mut life = self.life.clone();
+        let known = life.wait_for(|life| *life != Life::Starting).await;
+        match known.as_deref() {
+            Ok(Life::Serving) => Ok(()),
+            _ => Err(status::draining(COME_AGAIN)),
+        }
+    }
+}
+
+impl From<Gone> for Status {
+    fn from(_: Gone) -> Self {
+        status::draining(COME_AGAIN)
+    }
+}
+
+/// Serves until `closing` is cancelled, then until every connection is over.
+///
+/// # Errors
+/// If the server cannot be set up or accepting fails for good.
+pub(crate) async fn serve(shared: Shared, listener: TcpListener) -> anyhow::Result<()> {
+    let limit = shared.config.learner.max_message_bytes;
+    let health = HealthReporter::new();
+    // A fresh reporter calls the whole server healthy; it is not, until the model stands.
+    report(&health, ServingStatus::NotServing).await;
+    let reporting = tokio::spawn(follow(health.clone(), shared.life.clone()));
+
+    let learner = LearnerServer::new(learner::LearnerService::new(shared.clone()))
+        .max_decoding_message_size(limit)
+        .max_encoding_message_size(limit);
+    let checkpoints = CheckpointsServer::new(checkpoints::CheckpointsService::new(shared.clone()))
+        .max_decoding_message_size(limit)
+        .max_encoding_message_size(limit);
+    let training = TrainingServer::new(training::TrainingService::new(shared.clone()))
+        .max_decoding_message_size(limit)
+        .max_encoding_message_size(limit);
+    // The two reflection versions have different types, but describe the same.
+    let reflection = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(cross_proto::FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(cross_proto::HEALTH_FILE_DESCRIPTOR_SET)
+    };
+    let keepalive = Duration::from_secs(shared.config.learner.lease_seconds).div_f64(3.0);
+    let served = Server::builder()
+        .http2_keepalive_interval(Some(keepalive))
+        .http2_keepalive_timeout(Some(keepalive))
+        .add_service(tonic_health::pb::health_server::HealthServer::new(HealthService::from_health_reporter(health)))
+        .add_service(reflection().build_v1()?)
+        .add_service(reflection().build_v1alpha()?)
+        .add_service(learner)
+        .add_service(checkpoints)
+        .add_service(training)
+        .serve_with_incoming_shutdown(
+            TcpIncoming::from(listener).with_nodelay(Some(true)),
+            shared.closing.clone().cancelled_owned(),
+        )
+        .await;
+    reporting.abort();
+    Ok(served?)
+}
+
+/// Keeps health in step with the learner's life.
+async fn follow(health: HealthReporter, mut life: watch::Receiver<Life>) {
+    loop {
+        let now = *life.borrow_and_update();
+        let serving = if now == Life::Serving { ServingStatus::Serving } else { ServingStatus::NotServing };
+        report(&health, serving).await;
+        if life.changed().await.is_err() {
+            return report(&health, ServingStatus::NotServing).await;
+        }
+    }
+}
+
+async fn report(health: &HealthReporter, serving: ServingStatus) {
+    for name in ["", names::LEARNER, names::CHECKPOINTS, names::TRAINING] {
+        health.set_service_status(name, serving).await;
+    }
+}

@@ -1,0 +1,260 @@
+//! Prometheus metrics of one learner.
+//!
+//! The recorder belongs to the learner, not to the process, so that several can live in one test.
+
+use crate::admission::{Admission, Dropped, Outcome};
+use cross_model::UpdateStats;
+use metrics::{Counter, Gauge, Histogram, counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
+use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle, PrometheusRecorder};
+use std::sync::Arc;
+
+/// Upper bounds of the duration histograms, seconds.
+const SECONDS: [f64; 14] = [0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0, 250.0];
+
+/// Every metric of the learner.
+#[derive(Clone)]
+pub struct Telemetry {
+    /// Registers what is known only later: terms, experts, clusters.
+    recorder: Arc<PrometheusRecorder>,
+    handle: PrometheusHandle,
+    updates: Counter,
+    update_failures: Counter,
+    checkpoint_failures: Counter,
+    checkpoint_fallbacks: Counter,
+    log_failures: Counter,
+    policy_version: Gauge,
+    lag: [Gauge; 3],
+    actors: Gauge,
+    update_seconds: Histogram,
+    checkpoint_seconds: Histogram,
+    /// Per scenario: offered by outcome, dropped by reason, buffered.
+    scenarios: Arc<[ScenarioMetrics]>,
+}
+
+struct ScenarioMetrics {
+    agents: u64,
+    offered: [(Outcome, Counter); Outcome::ALL.len()],
+    dropped: [(Dropped, Counter); Dropped::ALL.len()],
+    episodes: Counter,
+    buffered: Gauge,
+}
+
+impl std::fmt::Debug for Telemetry {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Telemetry").finish_non_exhaustive()
+    }
+}
+
+impl Telemetry {
+    /// Registers everything at zero, so that a rate is defined from the first scrape on. Scenarios come with their agents.
+    #[must_use]
+    pub fn new(scenarios: &[(String, usize)]) -> Self {
+        let mut builder = PrometheusBuilder::new();
+        for name in ["cross_learner_update_seconds", "cross_learner_checkpoint_seconds"] {
+            // Fails only for an empty list of buckets.
+            builder = match builder.set_buckets_for_metric(Matcher::Full(name.to_owned()), &SECONDS) {
+                Ok(builder) => builder,
+                Err(_) => PrometheusBuilder::new(),
+            };
+        }
+        let recorder = Arc::new(builder.build_recorder());
+        let handle = recorder.handle();
+        metrics::with_local_recorder(&*recorder, || {
+            describe();
+            gauge!(
+                "cross_build_info",
+                "version" => env!("CARGO_PKG_VERSION"),
+                "libtorch" => cross_model::libtorch_version(),
+                "protocol" => cross_proto::PROTOCOL_VERSION.to_string(),
+                "program" => "cross-learner"
+            )
+            .set(1.0);
+            let lag = |kind: &'static str| gauge!("cross_learner_policy_lag_versions", "statistic" => kind);
+            Self {
+                updates: counter!("cross_learner_updates_total"),
+                update_failures: counter!("cross_learner_update_failures_total"),
+                checkpoint_failures: counter!("cross_learner_checkpoint_failures_total"),
+                checkpoint_fallbacks: counter!("cross_learner_checkpoint_fallbacks_total"),
+                log_failures: counter!("cross_learner_metrics_log_failures_total"),
+                policy_version: gauge!("cross_learner_policy_version"),
+                lag: [lag("min"), lag("mean"), lag("max")],
+                actors: gauge!("cross_learner_actors"),
+                update_seconds: histogram!("cross_learner_update_seconds"),
+                checkpoint_seconds: histogram!("cross_learner_checkpoint_seconds"),
+                scenarios: scenarios.iter().map(|(name, agents)| ScenarioMetrics::new(name, *agents)).collect(),
+                handle: handle.clone(),
+                recorder: Arc::clone(&recorder),
+            }
+        })
+    }
+
+    /// The text that Prometheus scrapes.
+    #[must_use]
+    pub fn render(&self) -> String {
+        self.handle.run_upkeep();
+        self.handle.render()
+    }
+
+    /// An update is done.
+    pub fn updated(&self, policy_version: u64, seconds: f64, stats: &UpdateStats) {
+        self.updates.increment(1);
+        self.policy_version.set(policy_version as f64);
+        self.update_seconds.record(seconds);
+        metrics::with_local_recorder(&*self.recorder, || {
+            for (term, value) in &stats.losses {
+                gauge!("cross_learner_loss", "term" => term.clone()).set(*value);
+            }
+            for (name, value) in &stats.diagnostics {
+                gauge!("cross_learner_diagnostic", "name" => name.clone()).set(*value);
+            }
+            for (expert, share) in stats.expert_usage.iter().enumerate() {
+                gauge!("cross_expert_usage_ratio", "expert" => expert.to_string()).set(*share);
+            }
+            for (cluster, share) in stats.cluster_usage.iter().enumerate() {
+                gauge!("cross_cluster_usage_ratio", "cluster" => cluster.to_string()).set(*share);
+            }
+        });
+    }
+
+    /// The version that is published at the start.
+    pub fn published(&self, policy_version: u64) {
+        self.policy_version.set(policy_version as f64);
+    }
+
+    /// How far a round's data was behind.
+    pub fn lag(&self, lag: &crate::admission::Lag) {
+        for (gauge, value) in self.lag.iter().zip([lag.min as f64, lag.mean, lag.max as f64]) {
+            gauge.set(value);
+        }
+    }
+
+    /// An update failed and its data is lost.
+    pub fn update_failed(&self) {
+        self.update_failures.increment(1);
+    }
+
+    /// A checkpoint was written.
+    pub fn checkpointed(&self, seconds: f64) {
+        self.checkpoint_seconds.record(seconds);
+    }
+
+    /// A checkpoint could not be written.
+    pub fn checkpoint_failed(&self) {
+        self.checkpoint_failures.increment(1);
+    }
+
+    /// So many damaged checkpoints were passed over at the start.
+    pub fn fell_back(&self, checkpoints: usize) {
+        self.checkpoint_fallbacks.increment(checkpoints as u64);
+    }
+
+    /// A line of `metrics.jsonl` could not be written.
+    pub fn log_failed(&self) {
+        self.log_failures.increment(1);
+    }
+
+    /// Takes over the counters of admission.
+    pub fn observe(&self, admission: &Admission) {
+        self.actors.set(admission.actors() as f64);
+        for (i, (scenario, settings)) in self.scenarios.iter().zip(&admission.settings().scenarios).enumerate() {
+            for (outcome, counter) in &scenario.offered {
+                counter.absolute(admission.offered(i, *outcome));
+            }
+            for (reason, counter) in &scenario.dropped {
+                counter.absolute(admission.dropped(i, *reason));
+            }
+            if let Some(progress) = admission.progress().scenarios.get(&settings.name) {
+                scenario.episodes.absolute(progress.episodes);
+            }
+            scenario.buffered.set((admission.buffered_steps(i) * scenario.agents) as f64);
+        }
+    }
+}
+
+impl ScenarioMetrics {
+    fn new(name: &str, agents: usize) -> Self {
+        let offered = Outcome::ALL.map(|outcome| {
+            let labels = [("scenario", name.to_owned()), ("outcome", outcome.label().to_owned())];
+            (outcome, counter!("cross_learner_fragments_total", &labels))
+        });
+        let dropped = Dropped::ALL.map(|reason| {
+            let labels = [("scenario", name.to_owned()), ("reason", reason.label().to_owned())];
+            (reason, counter!("cross_learner_dropped_fragments_total", &labels))
+        });
+        let scenario = [("scenario", name.to_owned())];
+        Self {
+            agents: agents as u64,
+            offered,
+            dropped,
+            episodes: counter!("cross_learner_episodes_total", &scenario),
+            buffered: gauge!("cross_learner_buffer_decisions", &scenario),
+        }
+    }
+}
+
+fn describe() {
+    describe_gauge!("cross_build_info", "What is running; always 1");
+    describe_counter!("cross_learner_updates_total", "PPO updates done by this process");
+    describe_counter!("cross_learner_update_failures_total", "Updates that gave no usable weights");
+    describe_counter!("cross_learner_checkpoint_failures_total", "Checkpoints that could not be written");
+    describe_counter!("cross_learner_checkpoint_fallbacks_total", "Damaged checkpoints passed over when resuming");
+    describe_counter!("cross_learner_metrics_log_failures_total", "Lines of metrics.jsonl that could not be written");
+    describe_gauge!("cross_learner_policy_version", "Newest published version of the weights");
+    describe_gauge!("cross_learner_policy_lag_versions", "Versions that the last round's data was behind");
+    describe_gauge!("cross_learner_actors", "Actors with a lease");
+    describe_histogram!("cross_learner_update_seconds", "Duration of an update");
+    describe_histogram!("cross_learner_checkpoint_seconds", "Duration of writing a checkpoint");
+    describe_counter!("cross_learner_fragments_total", "Fragments offered, by what became of them");
+    describe_counter!("cross_learner_dropped_fragments_total", "Fragments received and dropped later, by reason");
+    describe_counter!("cross_learner_episodes_total", "Episodes finished in the run");
+    describe_gauge!("cross_learner_buffer_decisions", "Agent-decisions that wait for an update");
+    describe_gauge!("cross_learner_loss", "Loss terms of the last update, before their weights");
+    describe_gauge!("cross_learner_diagnostic", "Diagnostics of the last update");
+    describe_gauge!("cross_expert_usage_ratio", "Share of the gating weight of each expert");
+    describe_gauge!("cross_cluster_usage_ratio", "Mean assignment to each cluster");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn the_fixed_names_are_there() {
+        let telemetry = Telemetry::new(&[("grid4x4".to_owned(), 16)]);
+        let stats = UpdateStats {
+            losses: BTreeMap::from([("actor_clip".to_owned(), 0.5)]),
+            expert_usage: vec![0.5, 0.5],
+            cluster_usage: vec![1.0],
+            ..UpdateStats::default()
+        };
+        telemetry.updated(2, 0.3, &stats);
+        telemetry.checkpointed(0.1);
+        let text = telemetry.render();
+        for name in [
+            "cross_build_info{",
+            "cross_learner_updates_total 1",
+            "cross_learner_policy_version 2",
+            "cross_learner_update_seconds_bucket{",
+            "cross_learner_loss{term=\"actor_clip\"} 0.5",
+            "cross_learner_fragments_total{scenario=\"grid4x4\",outcome=\"accepted\"} 0",
+            "cross_learner_fragments_total{scenario=\"grid4x4\",outcome=\"stale\"} 0",
+            "cross_learner_buffer_decisions{scenario=\"grid4x4\"}",
+            "cross_learner_policy_lag_versions{",
+            "cross_learner_actors ",
+            "cross_learner_checkpoint_seconds_bucket{",
+            "cross_expert_usage_ratio{expert=\"1\"} 0.5",
+            "cross_cluster_usage_ratio{cluster=\"0\"} 1",
+        ] {
+            assert!(text.contains(name), "{name} is missing in:\n{text}");
+        }
+    }
+
+    #[test]
+    fn two_learners_in_one_process_do_not_share_numbers() {
+        let (one, other) = (Telemetry::new(&[]), Telemetry::new(&[]));
+        one.update_failed();
+        assert!(one.render().contains("cross_learner_update_failures_total 1"));
+        assert!(other.render().contains("cross_learner_update_failures_total 0"));
+    }
+}
