@@ -226,3 +226,107 @@ pub(crate) fn describe_message(sent: &[u8], starts: &[usize]) -> String {
         count => format!("{first} and {} more in one message", count - 1),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::codec::Writer;
+    use crate::constants::{traffic_light, vehicle};
+    use crate::value::Argument;
+    use proptest::prelude::*;
+
+    /// A message of one command, as it would be sent, without the length in front.
+    fn command(id: u8, body: impl FnOnce(&mut Writer<'_>)) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        Writer::new(&mut bytes).command(id, body);
+        bytes
+    }
+
+    fn status(bytes: &mut Vec<u8>, id: u8, outcome: u8, message: &str) {
+        Writer::new(bytes).command(id, |w| {
+            w.u8(outcome).str(message);
+        });
+    }
+
+    #[test]
+    fn commands_are_told_in_words() {
+        let set = command(Domain::TrafficLight.set(), |w| {
+            w.u8(traffic_light::RED_YELLOW_GREEN_STATE).str("J0");
+            Argument::Str("GGrr").write(w);
+        });
+        assert_eq!(describe(&set), "setting RED_YELLOW_GREEN_STATE of traffic light 'J0' to 'GGrr'");
+        let step = command(command::SIMULATION_STEP, |w| {
+            w.f64(30.0);
+        });
+        assert_eq!(describe(&step), "the simulation step to 30 s");
+        let starts = [0, set.len()];
+        let both = [set, step].concat();
+        let told = describe_message(&both, &starts);
+        assert_eq!(
+            told,
+            "setting RED_YELLOW_GREEN_STATE of traffic light 'J0' to 'GGrr' and 1 more in one message"
+        );
+        assert_eq!(describe(&[]), "an unreadable command");
+        assert_eq!(describe(&[2, 0xf7]), "command 0xf7");
+    }
+
+    #[test]
+    fn the_response_that_follows_a_refused_subscription_is_skipped() {
+        let subscribe = command(Domain::Vehicle.subscribe(), |w| {
+            w.f64(0.0).f64(0.0).str("v").u8(1).u8(vehicle::SPEED);
+        });
+        let version = command(command::GET_VERSION, |_| {});
+        let starts = [0, subscribe.len()];
+        let sent = [subscribe, version].concat();
+        let mut body = Vec::new();
+        status(&mut body, Domain::Vehicle.subscribe(), result::ERROR, "no such vehicle");
+        Writer::new(&mut body).command(Domain::Vehicle.subscribe() + RESPONSE, |w| {
+            w.str("v").u8(1).u8(vehicle::SPEED).u8(result::ERROR);
+            Argument::Str("no such vehicle").write(w);
+        });
+        status(&mut body, command::GET_VERSION, result::OK, "");
+        Writer::new(&mut body).command(command::GET_VERSION, |w| {
+            w.i32(22).str("SUMO");
+        });
+        let mut answers = Vec::new();
+        read(&sent, &starts, &body, &mut answers).unwrap();
+        let Answer::Refused(message) = &answers[0] else { panic!("{answers:?}") };
+        assert_eq!(&body[message.clone()], b"no such vehicle");
+        assert!(matches!(answers[1], Answer::Version(_)), "{answers:?}");
+    }
+
+    #[test]
+    fn an_answer_about_another_object_is_not_taken() {
+        let sent = command(Domain::Vehicle.get(), |w| {
+            w.u8(vehicle::SPEED).str("v");
+        });
+        let mut body = Vec::new();
+        status(&mut body, Domain::Vehicle.get(), result::OK, "");
+        Writer::new(&mut body).command(Domain::Vehicle.get() + RESPONSE, |w| {
+            w.u8(vehicle::SPEED).str("w");
+            Argument::Double(1.0).write(w);
+        });
+        let error = read(&sent, &[0], &body, &mut Vec::new()).unwrap_err();
+        assert_eq!(error.to_string(), "expected object 'v', found 'w'");
+    }
+
+    proptest! {
+        #[test]
+        fn arbitrary_answers_never_panic(
+            id in prop_oneof![Just(0u8), Just(2), Just(0xa4), Just(0xd4), Just(0x89), any::<u8>()],
+            sent in proptest::collection::vec(any::<u8>(), 0..60), body in proptest::collection::vec(any::<u8>(), 0..200), proper in any::<bool>(),
+        ) {
+            let message = command(id, |w| { for byte in &sent { w.u8(*byte); } });
+            let mut answer = Vec::new();
+            if proper {
+                status(&mut answer, id, result::OK, "");
+            }
+            answer.extend(&body);
+            let mut answers = Vec::new();
+            let _ = read(&message, &[0], &answer, &mut answers);
+            let _ = read(&sent, &[0, 7, 1000], &body, &mut answers);
+            let _ = describe(&message);
+            let _ = describe(&sent);
+        }
+    }
+}
