@@ -16,7 +16,7 @@ use std::process::ExitCode;
 
 /// Trains and evaluates CROSS, a traffic-signal controller that learns on SUMO.
 #[derive(Debug, Parser)]
-#[command(name = "cross", arg_required_else_help = true, after_help = EXAMPLES)]
+#[command(name = "cross", arg_required_else_help = true, max_term_width = 110, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

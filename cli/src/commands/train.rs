@@ -30,8 +30,8 @@ Examples:
   cross train --resume --run runs/paper-3 --updates 400    ... and further than was asked at first
   cross train --serial --seed 7                     one actor in lock step: the same numbers every time
 
-Ctrl-C or SIGTERM once: the learner finishes its update and writes a checkpoint, and the command ends with exit code 0
-and \"interrupted\": true in the JSON result. Twice: everything is killed at once, exit code 1.")]
+Ctrl-C or SIGTERM once: the learner finishes its update and writes a checkpoint, and the command ends with
+exit code 0 and \"interrupted\": true in the JSON result. Twice: everything is killed at once, exit code 1.")]
 pub(crate) struct Train {
     /// Scenario to train on: a name or a directory; repeat it to train on several together [default: grid4x4]
     #[arg(long = "scenario", value_name = "NAME")]

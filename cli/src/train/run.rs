@@ -19,6 +19,9 @@ const DRAIN_MARGIN: Duration = Duration::from_secs(60);
 /// How long actors may take to end once the learner has: a little beyond their own grace period.
 const ACTOR_GRACE: Duration = Duration::from_secs(12);
 
+/// What every child is told, so that variables in the environment, meant for a cluster, change nothing here.
+const SETTLED: [&str; 4] = ["--metrics-listen", "127.0.0.1:0", "--log-format", "text"];
+
 /// What the loop needs to know.
 #[derive(Debug)]
 pub(crate) struct Plan {
@@ -185,6 +188,7 @@ impl Cluster<'_> {
             "--listen".into(),
             listen.into(),
         ];
+        arguments.extend(SETTLED.map(OsString::from));
         // A learner that died before its first checkpoint has nothing to go on from.
         if (self.plan.resume || again) && self.run.has_checkpoints() {
             arguments.push("--resume".into());
@@ -195,7 +199,7 @@ impl Cluster<'_> {
 
     fn start_actor(&mut self, actor: usize, address: &str) -> Outcome<()> {
         let name = format!("actor-{actor}");
-        let arguments: Vec<OsString> = vec![
+        let mut arguments: Vec<OsString> = vec![
             "--learner".into(),
             format!("http://{address}").into(),
             "--actor-id".into(),
@@ -203,6 +207,7 @@ impl Cluster<'_> {
             "--sumo-home".into(),
             self.plan.sumo_home.clone().into(),
         ];
+        arguments.extend(SETTLED.map(OsString::from));
         let process = Process::start(&self.actor_program, &arguments, &self.run.log(&name))?;
         if let Some(slot) = self.actors.get_mut(actor) {
             *slot = Some(process);
