@@ -34,7 +34,7 @@ pub struct Options {
     #[arg(long, value_name = "DIR")]
     pub sumo_home: Option<PathBuf>,
 
-    /// Configuration that the learner must agree with in its [env] and [model] sections [default: the learner's]
+    /// Configuration that the learner must agree with in its env and model sections [default: the learner's]
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
 
