@@ -123,7 +123,6 @@ impl Job<'_> {
 
     fn episodes(&self) -> Result<(), EvaluateError> {
         let mut controller = (self.make)().map_err(EvaluateError::controller(self.policy))?;
-        // SUMO ends with the thread that started it, so that each episode begins and ends in this one.
         while let Some(&seed) = self.seeds.get(self.next.fetch_add(1, Ordering::Relaxed)) {
             let mut progress = |episode: super::Progress| {
                 if self.stop.load(Ordering::Relaxed) {
