@@ -9,6 +9,7 @@ use cross_sim::signal::ActionError;
 use cross_sim::trajectory::Observation;
 use cross_traci::SumoHome;
 use std::io::Read;
+use std::time::Duration;
 
 fn env_with(scenario: &str, change: impl FnOnce(&mut EnvOptions)) -> Env {
     let home = SumoHome::locate(None).unwrap();
@@ -220,4 +221,23 @@ fn a_sumo_that_cannot_start_says_why() {
     let error = env.reset(1).unwrap_err();
     assert_eq!(error.reason(), "spawn");
     assert!(error.to_string().contains("no-such-option"), "{error}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_sumo_that_hangs_is_given_up_at_its_deadline() {
+    let mut env = env_with("cologne1", |options| options.timeout = Duration::from_secs(2));
+    env.reset(1).unwrap();
+    let pid = env.sumo_pid().unwrap();
+    assert!(std::process::Command::new("kill").args(["-STOP", &pid.to_string()]).status().unwrap().success());
+    let error = env.step(&[0]).unwrap_err();
+    assert!(error.is_simulator_failure(), "{error}");
+    assert_eq!(error.reason(), "timeout");
+    assert!(!is_alive(pid));
+}
+
+#[test]
+fn an_environment_can_be_given_to_a_thread() {
+    fn is_send<T: Send>() {}
+    is_send::<Env>();
 }
