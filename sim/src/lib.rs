@@ -3,7 +3,7 @@
 //! ```text
 //!   scenario.toml ── scenario ──> net ──> layout ─┬─> signal ──┐
 //!                                                 └─> lanes ───┼─> env <──> SUMO
-//!                                                              └── observe
+//!                                           controller <── observe ──> metrics ──> evaluate
 //! ```
 
 pub mod controller;

@@ -95,6 +95,25 @@ fn watching_every_second_changes_nothing() {
 }
 
 #[test]
+fn watching_may_begin_and_end_within_an_episode() {
+    let mut env = env("cologne1");
+    let apart = episode(&mut env, 5, None);
+    env.reset(5).unwrap();
+    let mut seconds = 0;
+    for (step, rewards) in apart.rewards.iter().enumerate() {
+        let actions = actions(&env, step);
+        let taken = if step / 3 % 2 == 1 {
+            env.step_observed(&actions, &mut |_: &SecondView<'_>| seconds += 1).unwrap()
+        } else {
+            env.step(&actions).unwrap()
+        };
+        assert_eq!(taken.rewards, rewards);
+        assert_eq!(env.observation(), &apart.observations[step + 1]);
+    }
+    assert_eq!(seconds, 190);
+}
+
+#[test]
 fn the_seed_decides_the_episode() {
     let mut env = env("cologne3");
     let first = episode(&mut env, 11, None);

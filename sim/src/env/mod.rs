@@ -230,6 +230,9 @@ impl Env {
         let (lanes, timings) = (&mut self.lanes, &mut self.timings);
         let mut states = Vec::new();
         let commands = self.signals.decide(actions)?;
+        if observer.is_some() {
+            timed(&mut timings.traci, || simulation.watch())?;
+        }
         for command in commands {
             let Command::Run { seconds } = command else {
                 states.extend(shown(&self.layout, command));

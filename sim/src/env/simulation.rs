@@ -1,20 +1,29 @@
 //! One running SUMO: shows signal states, lets time pass, reads the vehicles.
 //!
-//! A standing subscription looks convenient, but SUMO evaluates it after every simulated second, however many seconds one
-//! `simulationStep` command covers; for all vehicles of a grid that makes an episode half as long again. So all vehicles
-//! are subscribed to when they are wanted, which brings their values at once, and unsubscribed in the same message.
+//! SUMO evaluates a standing subscription after every simulated second, however many seconds one `simulationStep` command
+//! covers; for all vehicles of a grid that makes an episode half as long again. So there is one only while every second
+//! is watched. Otherwise all vehicles are subscribed to when they are wanted, which brings their values at once, and
+//! unsubscribed in the same message.
 
 use super::EnvOptions;
 use super::arguments::arguments;
 use crate::lanes::LaneTable;
 use crate::scenario::Scenario;
 use cross_traci::constants::{Domain, simulation, vehicle};
-use cross_traci::{Batch, DecodeError, ExitReport, Object, Replies, Sumo, SumoCommand, SumoHome, TraciError};
+use cross_traci::{DecodeError, ExitReport, Object, Subscription, Sumo, SumoCommand, SumoHome, TraciError};
 
 /// Metres around the anchor junction within which vehicles are reported: no network reaches farther.
 const EVERYWHERE: f64 = 1e7;
 /// What is read of each vehicle.
 const VEHICLE: [u8; 3] = [vehicle::LANE_ID, vehicle::LANE_POSITION, vehicle::SPEED];
+/// What is read of the simulation while every second is watched; SUMO counts these over its last second only.
+const EVENTS: [u8; 4] = [
+    simulation::ARRIVED_NUMBER,
+    simulation::DEPARTED_NUMBER,
+    simulation::TELEPORT_STARTING_NUMBER,
+    simulation::PENDING_VEHICLES,
+];
+
 /// A traffic light and the state it is to show.
 pub(super) type Shown<'a> = (&'a str, &'a str);
 
@@ -24,6 +33,8 @@ pub(super) struct Simulation {
     /// Some junction, which the subscription to all vehicles is anchored at.
     anchor: String,
     time: f64,
+    /// Whether vehicles and events are subscribed to for every second.
+    watching: bool,
 }
 
 /// Vehicles in the network at one moment.
@@ -53,7 +64,7 @@ impl Simulation {
     ) -> Result<Self, TraciError> {
         let command = SumoCommand::new().args(arguments(scenario, options, seed));
         let sumo = Sumo::start(home, &command, options.timeout)?;
-        Ok(Self { sumo, anchor: anchor.to_owned(), time: f64::from(scenario.begin) })
+        Ok(Self { sumo, anchor: anchor.to_owned(), time: f64::from(scenario.begin), watching: false })
     }
 
     /// Simulated time, seconds.
@@ -85,34 +96,34 @@ impl Simulation {
     /// Counts the vehicles of this moment into a table, which is emptied first.
     pub(super) fn count(&mut self, lanes: &mut LaneTable) -> Result<Traffic, TraciError> {
         let mut batch = self.sumo.client().batch();
-        ask_for_vehicles(&mut batch, &self.anchor);
-        count(lanes, &batch.send()?)
+        batch.subscribe_context(Domain::Junction, &self.anchor, EVERYWHERE, Domain::Vehicle, &VEHICLE);
+        batch.subscribe_context(Domain::Junction, &self.anchor, EVERYWHERE, Domain::Vehicle, &[]);
+        // The second command also ends a subscription that `watch` left standing.
+        self.watching = false;
+        count(lanes, batch.send()?.subscription(0)?)
     }
 
-    /// As [`count`](Self::count), with what happened in the last second; to be called after each second.
-    pub(super) fn count_second(&mut self, lanes: &mut LaneTable) -> Result<(Traffic, Events), TraciError> {
-        let mut batch = self.sumo.client().batch();
-        ask_for_vehicles(&mut batch, &self.anchor);
-        let first = batch.len();
-        let variables = [
-            simulation::ARRIVED_NUMBER,
-            simulation::DEPARTED_NUMBER,
-            simulation::TELEPORT_STARTING_NUMBER,
-            simulation::PENDING_VEHICLES,
-        ];
-        for variable in variables {
-            batch.get(Domain::Simulation, variable, "");
+    /// Has every step from now on bring vehicles and events.
+    pub(super) fn watch(&mut self) -> Result<(), TraciError> {
+        if !self.watching {
+            let mut batch = self.sumo.client().batch();
+            batch.subscribe_context(Domain::Junction, &self.anchor, EVERYWHERE, Domain::Vehicle, &VEHICLE);
+            batch.subscribe(Domain::Simulation, "", &EVENTS);
+            batch.send()?;
+            self.watching = true;
         }
-        let replies = batch.send()?;
-        let number = |place: usize| replies.int(first + place).map(|count| u32::try_from(count).unwrap_or(0));
-        let pending = replies.value(first + 3)?.strings().map_err(unreadable)?;
-        let events = Events {
-            arrived: number(0)?,
-            departed: number(1)?,
-            teleports: number(2)?,
-            waiting_to_enter: saturating(pending.len()),
-        };
-        Ok((count(lanes, &replies)?, events))
+        Ok(())
+    }
+
+    /// As [`count`](Self::count), from what a step of one second brought under [`watch`](Self::watch), and what happened
+    /// in that second.
+    pub(super) fn count_second(&mut self, lanes: &mut LaneTable) -> Result<(Traffic, Events), TraciError> {
+        let results = self.sumo.client().subscriptions();
+        let vehicles = results.find_context(Domain::Junction, &self.anchor, Domain::Vehicle);
+        let simulation = results.find(Domain::Simulation, "");
+        let missing = || unreadable(DecodeError::Type { expected: "a subscription", found: "none" });
+        let traffic = count(lanes, vehicles.ok_or_else(missing)?)?;
+        Ok((traffic, events(simulation.ok_or_else(missing)?).map_err(unreadable)?))
     }
 
     /// Ends SUMO in order, so that its output files are complete.
@@ -121,15 +132,7 @@ impl Simulation {
     }
 }
 
-/// Subscribes to all vehicles and unsubscribes again: the first and second commands of the batch.
-fn ask_for_vehicles(batch: &mut Batch<'_>, anchor: &str) {
-    batch.subscribe_context(Domain::Junction, anchor, EVERYWHERE, Domain::Vehicle, &VEHICLE);
-    batch.subscribe_context(Domain::Junction, anchor, EVERYWHERE, Domain::Vehicle, &[]);
-}
-
-/// Counts the vehicles that [`ask_for_vehicles`] brought.
-fn count(lanes: &mut LaneTable, replies: &Replies<'_>) -> Result<Traffic, TraciError> {
-    let vehicles = replies.subscription(0)?;
+fn count(lanes: &mut LaneTable, vehicles: Subscription<'_>) -> Result<Traffic, TraciError> {
     lanes.clear();
     let mut speeds = 0.0;
     for vehicle in vehicles.objects() {
@@ -152,6 +155,21 @@ fn count_vehicle(lanes: &mut LaneTable, vehicle: Object<'_>) -> Result<f64, Deco
     }
     lanes.add(lane, position, speed);
     Ok(speed)
+}
+
+fn events(simulation: Subscription<'_>) -> Result<Events, DecodeError> {
+    let mut events = Events::default();
+    for (variable, value) in simulation.objects().flat_map(|object| object.values()) {
+        let number = || value.int().map(|count| u32::try_from(count).unwrap_or(0));
+        match variable {
+            simulation::ARRIVED_NUMBER => events.arrived = number()?,
+            simulation::DEPARTED_NUMBER => events.departed = number()?,
+            simulation::TELEPORT_STARTING_NUMBER => events.teleports = number()?,
+            simulation::PENDING_VEHICLES => events.waiting_to_enter = saturating(value.strings()?.len()),
+            _ => {}
+        }
+    }
+    Ok(events)
 }
 
 fn unreadable(source: DecodeError) -> TraciError {
