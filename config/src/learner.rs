@@ -33,7 +33,7 @@ impl Default for LearnerConfig {
         Self {
             serial: false,
             max_policy_lag: 4,
-            buffered_rounds: 2,
+            buffered_rounds: 1,
             checkpoint_updates: 10,
             keep_checkpoints: 5,
             max_actors: 1024,
@@ -77,7 +77,7 @@ impl Default for ActorConfig {
     fn default() -> Self {
         Self {
             fragment_steps: 120,
-            unacked_fragments: 4,
+            unacked_fragments: 2,
             sumo_timeout_seconds: 60,
             give_up_seconds: 600,
             max_sumo_failures: 5,

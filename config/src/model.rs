@@ -41,7 +41,8 @@ pub struct ModelConfig {
     pub tau_c: f64,
     /// Temperature of the router.
     pub tau_r: f64,
-    /// Whether the soft target of the contrastive loss is detached; if not, and tau_k = tau_c, it only minimises entropy.
+    /// Whether the soft target of the contrastive loss is detached. With tau_k = tau_c (the paper's values) a detached
+    /// target makes the loss's gradient exactly zero, and an attached one makes the loss the assignment's entropy.
     pub detach_contrastive_target: bool,
 }
 
@@ -60,7 +61,7 @@ impl Default for ModelConfig {
             tau_k: 0.1,
             tau_c: 0.1,
             tau_r: 1.0,
-            detach_contrastive_target: true,
+            detach_contrastive_target: false,
         }
     }
 }

@@ -77,8 +77,8 @@ pub struct PpoConfig {
 impl Default for PpoConfig {
     fn default() -> Self {
         Self {
-            round_steps: 360,
-            epochs: 4,
+            round_steps: 720,
+            epochs: 2,
             sequence_steps: 30,
             minibatch_decisions: 1440,
             actor_lr: 5e-4,

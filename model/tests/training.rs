@@ -63,7 +63,7 @@ fn every_variant_trains() {
     with("no moe", |c| c.model.moe = false);
     with("neither", |c| (c.model.pcc, c.model.moe) = (false, false));
     with("top 1 of 3 experts, 4 centres", |c| (c.model.top_k, c.model.experts, c.model.clusters) = (1, 3, 4));
-    with("contrastive target not detached", |c| c.model.detach_contrastive_target = false);
+    with("contrastive target detached", |c| c.model.detach_contrastive_target = true);
     for (name, config) in variants {
         let mut trainer = trainer(&config);
         let before = trainer.snapshot().unwrap();
@@ -115,6 +115,29 @@ fn every_loss_weight_matters() {
         change(&mut config);
         assert!(reference != after(&config), "{name} changes nothing");
     }
+}
+
+#[test]
+fn a_detached_contrastive_target_teaches_nothing_at_equal_temperatures() {
+    let after = |detach: bool, tau_c: f64, diversity: f64, clustering: f64| {
+        let mut config = tiny_config();
+        config.model.detach_contrastive_target = detach;
+        config.model.tau_c = tau_c;
+        config.ppo.diversity = diversity;
+        config.ppo.clustering = clustering;
+        let mut trainer = trainer(&config);
+        let mut toy = Toy::new(&ragged(), &config, 3);
+        let fragments = round(&trainer, &mut toy, 12);
+        trainer.update(&fragments).unwrap().losses["actor_contrastive"]
+    };
+    // Two epochs: the second sees what the first taught.
+    let without = after(true, 0.1, 0.0, 0.0);
+    assert!((after(true, 0.1, 0.0, 1.0) - without).abs() < 1e-4, "detached, equal temperatures: no effect");
+    assert!(after(false, 0.1, 0.0, 1.0) < without - 1e-3, "attached: the assignment becomes decisive");
+    assert!(
+        after(true, 0.2, 0.0, 1.0) < after(true, 0.2, 0.0, 0.0) - 1e-3,
+        "detached, unequal temperatures: learns"
+    );
 }
 
 #[test]

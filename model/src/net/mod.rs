@@ -64,6 +64,8 @@ pub struct Forward {
     pub scores: Tensor,
     /// Recurrent state after every step `[sequences, steps, hidden]`.
     pub states: Tensor,
+    /// Phase-aware representation of every packed row `[rows, hidden]`.
+    pub h_sp: Tensor,
     /// Clustering, if configured.
     pub pcc: Option<PccOutput>,
     /// Routing.
@@ -99,7 +101,7 @@ impl Net {
         let pcc = self.pcc.as_ref().map(|pcc| pcc.forward(batch));
         let moe = self.moe.forward(&gfe.h_sp, pcc.as_ref().map(|p| &p.z_hat));
         let scores = self.head.forward(&moe.h_moe).squeeze_dim(1);
-        Forward { scores, states: gfe.states, pcc, moe }
+        Forward { scores, states: gfe.states, h_sp: gfe.h_sp, pcc, moe }
     }
 
     /// The recurrent path alone: state after every step `[sequences, steps, hidden]`.
