@@ -65,7 +65,7 @@ pub(crate) fn evaluate_all(
         }
     });
     let reports = results.into_inner().unwrap_or_else(PoisonError::into_inner)?;
-    Ok(merge(tasks.len(), reports))
+    Ok(merge(tasks.len(), &reports))
 }
 
 fn episode(
@@ -81,7 +81,7 @@ fn episode(
 }
 
 /// Joins the reports of single episodes to one for each task.
-fn merge(tasks: usize, reports: Vec<(usize, EvalReport)>) -> Vec<EvalReport> {
+fn merge(tasks: usize, reports: &[(usize, EvalReport)]) -> Vec<EvalReport> {
     (0..tasks)
         .filter_map(|task| {
             let own: Vec<_> =

@@ -82,11 +82,15 @@ impl Run {
         command
     }
 
-    /// `cross train` of this run with further arguments, not yet started.
+    /// `cross train` of this run with further arguments, not yet started. A new run gets the configuration of
+    /// [`Run::config`]; one that is resumed has its own.
     #[must_use]
     pub fn train(&self, arguments: &[&str]) -> Command {
         let mut command = self.cross(&["train", "--json", "--run"]);
-        command.arg(self.path()).arg("--config").arg(self.config()).args(arguments);
+        command.arg(self.path()).args(arguments);
+        if !arguments.contains(&"--resume") {
+            command.arg("--config").arg(self.config());
+        }
         command
     }
 
@@ -286,6 +290,18 @@ impl Finished {
             assert!(sentence.contains(part), "{part:?} is not in {sentence:?}");
         }
     }
+}
+
+/// Asserts that two runs did the same, line by line, apart from times.
+///
+/// # Panics
+/// Shows the first line that differs.
+pub fn assert_same_metrics(left: &Run, right: &Run) {
+    let (left, right) = (without_times(&left.metrics()), without_times(&right.metrics()));
+    for (left, right) in left.iter().zip(&right) {
+        assert_eq!(left, right);
+    }
+    assert_eq!(left.len(), right.len(), "one of the runs has more updates");
 }
 
 /// Metrics without `time` and `timing`, the only parts that depend on the clock.

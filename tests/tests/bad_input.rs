@@ -166,7 +166,8 @@ fn a_foreign_policy_file_is_refused() {
 fn a_checkpoint_of_another_model_is_not_resumed_from() {
     let run = trained();
     run.write_config(&SMALL.replace("hidden = 16", "hidden = 32"));
-    let finished = run.finish(&["--resume", "--updates", "2", "--eval-seeds", "0"]);
+    let config = text(&run.config());
+    let finished = run.finish(&["--resume", "--config", &config, "--updates", "2", "--eval-seeds", "0"]);
     finished.assert_refused(&["model"]);
     assert_none_left(&run.marker());
 }

@@ -69,7 +69,7 @@ impl Check {
         Self { name, status: Status::Ok, detail: detail.into(), remedy: None }
     }
 
-    fn failed(name: &'static str, detail: impl ToString, remedy: &str) -> Self {
+    fn failed(name: &'static str, detail: impl std::fmt::Display, remedy: &str) -> Self {
         Self { name, status: Status::Failed, detail: detail.to_string(), remedy: Some(remedy.to_owned()) }
     }
 

@@ -13,10 +13,12 @@
 
 use crate::failure::{Failure, Outcome};
 use anyhow::Context;
-use cross_learner::checkpoint::{FOLDER, LATEST_FILE, Metadata, reader};
-use std::fs::{File, TryLockError};
+use cross_learner::checkpoint::{FOLDER, LATEST_FILE, Metadata, reader, rfc3339};
+use rustix::fs::{FlockOperation, flock};
+use rustix::io::Errno;
+use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::SystemTime;
 
 /// Where runs go unless told otherwise.
 pub(crate) const RUNS: &str = "runs";
@@ -71,13 +73,13 @@ impl RunDir {
     fn lock(path: PathBuf) -> Outcome<Self> {
         let file = path.join(".lock");
         let lock = File::create(&file).with_context(|| format!("cannot write {}", file.display()))?;
-        match lock.try_lock() {
+        match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
             Ok(()) => Ok(Self { path, _lock: lock }),
-            Err(TryLockError::WouldBlock) => Err(Failure::input(format!(
+            Err(Errno::WOULDBLOCK) => Err(Failure::input(format!(
                 "another `cross train` is using {}; wait for it or name another directory with --run",
                 path.display()
             ))),
-            Err(TryLockError::Error(error)) => {
+            Err(error) => {
                 Err(anyhow::Error::new(error).context(format!("cannot lock {}", file.display())).into())
             }
         }
@@ -139,7 +141,7 @@ fn holds_run(path: &Path) -> bool {
 
 /// `runs/20260131-235959`, with a number after it where that is taken.
 fn fresh_name(parent: &Path, now: SystemTime) -> PathBuf {
-    let stamp = utc_stamp(now.duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs());
+    let stamp = stamp(now);
     let mut path = parent.join(&stamp);
     let mut number = 2;
     while path.exists() {
@@ -162,30 +164,16 @@ pub(crate) fn newest(parent: &Path) -> Option<PathBuf> {
         .map(|(_, path)| path)
 }
 
-/// UTC date and time of seconds since 1970 as `YYYYMMDD-HHMMSS`.
-fn utc_stamp(seconds: u64) -> String {
-    let (mut days, time) = (seconds / 86_400, seconds % 86_400);
-    let is_leap = |year: u64| year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
-    let mut year = 1970;
-    loop {
-        let length = if is_leap(year) { 366 } else { 365 };
-        if days < length {
-            break;
-        }
-        days -= length;
-        year += 1;
-    }
-    let february = if is_leap(year) { 29 } else { 28 };
-    let mut month = 1;
-    for length in [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31] {
-        if days < length {
-            break;
-        }
-        days -= length;
-        month += 1;
-    }
-    let (hour, minute, second) = (time / 3600, time / 60 % 60, time % 60);
-    format!("{year:04}{month:02}{:02}-{hour:02}{minute:02}{second:02}", days + 1)
+/// UTC date and time as `YYYYMMDD-HHMMSS`.
+fn stamp(time: SystemTime) -> String {
+    rfc3339(time)
+        .chars()
+        .filter_map(|c| match c {
+            'T' => Some('-'),
+            digit if digit.is_ascii_digit() => Some(digit),
+            _ => None,
+        })
+        .collect()
 }
 
 #[cfg(test)]
@@ -193,10 +181,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stamps_are_utc_dates() {
-        assert_eq!(utc_stamp(0), "19700101-000000");
-        assert_eq!(utc_stamp(951_868_799), "20000229-235959");
-        assert_eq!(utc_stamp(1_798_761_599), "20261231-235959");
+    fn runs_without_a_name_are_called_after_their_time() {
+        let time = std::time::UNIX_EPOCH + std::time::Duration::from_secs(951_868_799);
+        let directory = tempfile::tempdir().unwrap();
+        let first = fresh_name(directory.path(), time);
+        assert!(first.ends_with("20000229-235959"), "{first:?}");
+        std::fs::create_dir(&first).unwrap();
+        assert!(fresh_name(directory.path(), time).ends_with("20000229-235959-2"));
     }
 
     #[test]

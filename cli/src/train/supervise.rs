@@ -183,7 +183,7 @@ impl Supervisor {
             // One that has ended since is not leaving any more.
             Event::LearnerLeaving => self.learner_leaving = self.learner == Process::Running,
             Event::LearnerExited { exit, complete } => {
-                self.learner_exited(now, exit, complete, &mut commands)
+                self.learner_exited(now, exit, complete, &mut commands);
             }
             Event::ActorExited { actor, exit } => self.actor_exited(now, actor, exit, &mut commands),
             Event::StopAsked => self.stop_asked(now, &mut commands),
