@@ -100,8 +100,10 @@ impl Learner {
         let session_epoch = epoch_now();
         let settings = settings(&config, &scenarios, session_epoch);
         let unacked_fragments = settings.unacked_fragments;
-        let specs: Arc<[FragmentSpec]> =
-            scenarios.iter().map(|(name, layout)| FragmentSpec::new(name, Arc::clone(layout), &config)).collect();
+        let specs: Arc<[FragmentSpec]> = scenarios
+            .iter()
+            .map(|(name, layout)| FragmentSpec::new(name, Arc::clone(layout), &config))
+            .collect();
 
         let (life_sender, life) = watch::channel(Life::Starting);
         let (newest_sender, newest) = watch::channel(None);

@@ -8,6 +8,7 @@ use cross_config::Config;
 use cross_learner::run_dir::{Listening, RunDir};
 use cross_learner::{Ending, Learner, Setup, checkpoint, find_checkpoint, load_scenarios};
 use options::{LogFormat, Options};
+use std::io::Write;
 use std::net::SocketAddr;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -164,7 +165,11 @@ impl Signals {
 fn init_logging(format: LogFormat) {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    // Whoever reads the log may go away; that must not end the training, which complaining on the same stream would.
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .log_internal_errors(false);
     match format {
         LogFormat::Text => builder.with_target(false).with_ansi(false).init(),
         LogFormat::Json => builder.json().init(),
@@ -178,7 +183,10 @@ fn end(options: &Options, failure: &Failure) -> ExitCode {
         Failure::Other(error) => (error, 1),
     };
     match options.log_format {
-        LogFormat::Text => eprintln!("error: {error:#}"),
+        LogFormat::Text => {
+            // As for the log: nobody may be there to read it.
+            let _ = writeln!(std::io::stderr(), "error: {error:#}");
+        }
         LogFormat::Json => tracing::error!("{error:#}"),
     }
     ExitCode::from(code)

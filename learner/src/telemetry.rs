@@ -4,7 +4,10 @@
 
 use crate::admission::{Admission, Dropped, Outcome};
 use cross_model::UpdateStats;
-use metrics::{Counter, Gauge, Histogram, counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
+use metrics::{
+    Counter, Gauge, Histogram, counter, describe_counter, describe_gauge, describe_histogram, gauge,
+    histogram,
+};
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle, PrometheusRecorder};
 use std::sync::Arc;
 
@@ -81,7 +84,10 @@ impl Telemetry {
                 actors: gauge!("cross_learner_actors"),
                 update_seconds: histogram!("cross_learner_update_seconds"),
                 checkpoint_seconds: histogram!("cross_learner_checkpoint_seconds"),
-                scenarios: scenarios.iter().map(|(name, agents)| ScenarioMetrics::new(name, *agents)).collect(),
+                scenarios: scenarios
+                    .iter()
+                    .map(|(name, agents)| ScenarioMetrics::new(name, *agents))
+                    .collect(),
                 handle: handle.clone(),
                 recorder: Arc::clone(&recorder),
             }
@@ -156,7 +162,9 @@ impl Telemetry {
     /// Takes over the counters of admission.
     pub fn observe(&self, admission: &Admission) {
         self.actors.set(admission.actors() as f64);
-        for (i, (scenario, settings)) in self.scenarios.iter().zip(&admission.settings().scenarios).enumerate() {
+        for (i, (scenario, settings)) in
+            self.scenarios.iter().zip(&admission.settings().scenarios).enumerate()
+        {
             for (outcome, counter) in &scenario.offered {
                 counter.absolute(admission.offered(i, *outcome));
             }
@@ -197,15 +205,24 @@ fn describe() {
     describe_counter!("cross_learner_updates_total", "PPO updates done by this process");
     describe_counter!("cross_learner_update_failures_total", "Updates that gave no usable weights");
     describe_counter!("cross_learner_checkpoint_failures_total", "Checkpoints that could not be written");
-    describe_counter!("cross_learner_checkpoint_fallbacks_total", "Damaged checkpoints passed over when resuming");
-    describe_counter!("cross_learner_metrics_log_failures_total", "Lines of metrics.jsonl that could not be written");
+    describe_counter!(
+        "cross_learner_checkpoint_fallbacks_total",
+        "Damaged checkpoints passed over when resuming"
+    );
+    describe_counter!(
+        "cross_learner_metrics_log_failures_total",
+        "Lines of metrics.jsonl that could not be written"
+    );
     describe_gauge!("cross_learner_policy_version", "Newest published version of the weights");
     describe_gauge!("cross_learner_policy_lag_versions", "Versions that the last round's data was behind");
     describe_gauge!("cross_learner_actors", "Actors with a lease");
     describe_histogram!("cross_learner_update_seconds", "Duration of an update");
     describe_histogram!("cross_learner_checkpoint_seconds", "Duration of writing a checkpoint");
     describe_counter!("cross_learner_fragments_total", "Fragments offered, by what became of them");
-    describe_counter!("cross_learner_dropped_fragments_total", "Fragments received and dropped later, by reason");
+    describe_counter!(
+        "cross_learner_dropped_fragments_total",
+        "Fragments received and dropped later, by reason"
+    );
     describe_counter!("cross_learner_episodes_total", "Episodes finished in the run");
     describe_gauge!("cross_learner_buffer_decisions", "Agent-decisions that wait for an update");
     describe_gauge!("cross_learner_loss", "Loss terms of the last update, before their weights");

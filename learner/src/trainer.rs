@@ -153,7 +153,8 @@ impl Worker {
         let policy_version = self.trainer.policy_version();
         self.setup.telemetry.updated(policy_version, update_seconds, &stats);
         self.setup.telemetry.lag(&round.lag);
-        let timing = Timing { collect_seconds, update_seconds, uptime_seconds: self.started.elapsed().as_secs_f64() };
+        let timing =
+            Timing { collect_seconds, update_seconds, uptime_seconds: self.started.elapsed().as_secs_f64() };
         let line = Line {
             update: self.trainer.updates(),
             policy_version,
@@ -180,7 +181,8 @@ impl Worker {
 
     fn is_due(&self) -> bool {
         let updates = self.trainer.updates();
-        updates.is_multiple_of(self.setup.config.learner.checkpoint_updates) || updates >= self.setup.config.updates
+        updates.is_multiple_of(self.setup.config.learner.checkpoint_updates)
+            || updates >= self.setup.config.updates
     }
 
     fn publish(&self) -> Result<(), ModelError> {
@@ -220,7 +222,9 @@ impl Worker {
     fn metadata(&self) -> Metadata {
         let config = &self.setup.config;
         let now = unix_time();
-        let returns = |(name, s): (&String, &crate::admission::ScenarioProgress)| Some((name.clone(), s.episode_return?));
+        let returns = |(name, s): (&String, &crate::admission::ScenarioProgress)| {
+            Some((name.clone(), s.episode_return?))
+        };
         Metadata {
             format: FORMAT.to_owned(),
             format_version: FORMAT_VERSION,

@@ -37,12 +37,18 @@ async fn actors_that_do_not_fit_are_refused_by_name() {
     let error = refusal(&learner, |r| r.scenarios = vec!["moon".to_owned()]).await;
     assert_eq!(status::reason(&error), Some(Reason::NoScenario));
     let error = refusal(&learner, |r| r.actor_id = "../../etc".to_owned()).await;
-    assert_eq!((error.code(), status::violations(&error)[0].field.as_str()), (Code::InvalidArgument, "actor_id"));
+    assert_eq!(
+        (error.code(), status::violations(&error)[0].field.as_str()),
+        (Code::InvalidArgument, "actor_id")
+    );
 
     // None of them took the one place.
     let _actor = TestActor::join(&learner, "a").await;
     let error = refusal(&learner, |_| ()).await;
-    assert_eq!((error.code(), status::reason(&error)), (Code::ResourceExhausted, Some(Reason::TooManyActors)));
+    assert_eq!(
+        (error.code(), status::reason(&error)),
+        (Code::ResourceExhausted, Some(Reason::TooManyActors))
+    );
     assert!(status::retry_delay(&error).is_some());
     learner.drain().cancel();
     learner.ended().await;
@@ -250,16 +256,18 @@ async fn both_reflections_describe_every_service() {
     let expected = ["cross.v1.Checkpoints", "cross.v1.Learner", "cross.v1.Training", "grpc.health.v1.Health"];
     macro_rules! services {
         ($version:ident) => {{
-            use tonic_reflection::pb::$version as pb;
             use pb::server_reflection_request::MessageRequest;
             use pb::server_reflection_response::MessageResponse;
-            let ask = |message| pb::ServerReflectionRequest { host: String::new(), message_request: Some(message) };
+            use tonic_reflection::pb::$version as pb;
+            let ask =
+                |message| pb::ServerReflectionRequest { host: String::new(), message_request: Some(message) };
             let requests = vec![
                 ask(MessageRequest::ListServices(String::new())),
                 ask(MessageRequest::FileContainingSymbol("grpc.health.v1.Health".to_owned())),
                 ask(MessageRequest::FileContainingSymbol("cross.v1.Learner.Join".to_owned())),
             ];
-            let mut client = pb::server_reflection_client::ServerReflectionClient::new(learner.channel().await);
+            let mut client =
+                pb::server_reflection_client::ServerReflectionClient::new(learner.channel().await);
             let mut answers =
                 client.server_reflection_info(tokio_stream::iter(requests)).await.unwrap().into_inner();
             let mut next = async || answers.message().await.unwrap().unwrap().message_response.unwrap();

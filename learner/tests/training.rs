@@ -117,7 +117,10 @@ async fn a_serial_run_that_is_stopped_and_resumed_equals_one_that_was_not() {
         }
     }
     learner.drain().cancel();
-    assert!(matches!(actor.hear().await.unwrap(), Some(down::Message::Goodbye(v1::Goodbye { complete: false }))));
+    assert!(matches!(
+        actor.hear().await.unwrap(),
+        Some(down::Message::Goodbye(v1::Goodbye { complete: false }))
+    ));
     assert_eq!(learner.ended().await, Ending::Drained);
     assert_eq!(TestLearner::metrics_lines(parts.path()).len(), 2);
 

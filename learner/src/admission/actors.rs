@@ -1,8 +1,8 @@
 //! Actors: their leases, and what each has in flight.
 
+use super::Admission;
 use super::episodes::{Closed, Episode};
 use super::types::{CloseReason, Command, HelloRefusal, JoinRefusal, StreamId};
-use super::Admission;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -34,7 +34,12 @@ impl Admission {
     ///
     /// # Errors
     /// [`JoinRefusal`]; then nothing has changed.
-    pub fn join(&mut self, now: Duration, actor: &str, scenarios: &[String]) -> Result<Vec<Command>, JoinRefusal> {
+    pub fn join(
+        &mut self,
+        now: Duration,
+        actor: &str,
+        scenarios: &[String],
+    ) -> Result<Vec<Command>, JoinRefusal> {
         let runnable: Vec<usize> = (0..self.settings.scenarios.len())
             .filter(|&i| scenarios.is_empty() || scenarios.contains(&self.settings.scenarios[i].name))
             .collect();
@@ -80,7 +85,10 @@ impl Admission {
         session_epoch: u64,
     ) -> Result<Vec<Command>, HelloRefusal> {
         if session_epoch != self.settings.session_epoch {
-            return Err(HelloRefusal::OldSession { got: session_epoch, expected: self.settings.session_epoch });
+            return Err(HelloRefusal::OldSession {
+                got: session_epoch,
+                expected: self.settings.session_epoch,
+            });
         }
         if !self.actors.contains_key(actor) {
             return Err(HelloRefusal::NotJoined { actor: actor.to_owned() });

@@ -47,10 +47,17 @@ impl Episode {
     }
 
     /// Whether the fragment continues this episode, else the field at fault.
-    pub(super) fn check(&self, fragment: &Fragment, episode_steps: u32) -> Result<(), (&'static str, String)> {
+    pub(super) fn check(
+        &self,
+        fragment: &Fragment,
+        episode_steps: u32,
+    ) -> Result<(), (&'static str, String)> {
         if fragment.id.sequence != self.next_sequence {
             let problem = format!("is {}, expected {}", fragment.id.sequence, self.next_sequence);
-            return Err(("sequence", format!("{problem}; a fragment is missing, so the episode is given up")));
+            return Err((
+                "sequence",
+                format!("{problem}; a fragment is missing, so the episode is given up"),
+            ));
         }
         if fragment.first_step != self.next_step {
             return Err(("first_step", format!("is {}, expected {}", fragment.first_step, self.next_step)));

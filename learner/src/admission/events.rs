@@ -1,7 +1,7 @@
 //! What actors say on their streams, what the trainer reports, and what people ask for.
 
-use super::types::{CloseReason, Command, Dropped, Outcome, StreamId};
 use super::Admission;
+use super::types::{CloseReason, Command, Dropped, Outcome, StreamId};
 use cross_sim::trajectory::{Fragment, FragmentEnd};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -83,7 +83,8 @@ impl Admission {
         }
         if scenario != Some(open.scenario) {
             let assigned = &self.settings.scenarios[open.scenario].name;
-            let problem = format!("is {:?}, but episode {episode} was assigned on {assigned:?}", fragment.scenario);
+            let problem =
+                format!("is {:?}, but episode {episode} was assigned on {assigned:?}", fragment.scenario);
             return self.refuse(actor, scenario, "scenario", problem);
         }
         if let Err((field, problem)) = open.check(&fragment, self.settings.episode_steps) {
@@ -148,7 +149,14 @@ impl Admission {
     }
 
     /// Answers a fragment that is not kept.
-    fn decline(&mut self, actor: &str, scenario: Option<usize>, episode: u64, sequence: u32, outcome: Outcome) {
+    fn decline(
+        &mut self,
+        actor: &str,
+        scenario: Option<usize>,
+        episode: u64,
+        sequence: u32,
+        outcome: Outcome,
+    ) {
         self.count(scenario, outcome);
         self.acknowledge(actor, episode, sequence, outcome);
     }

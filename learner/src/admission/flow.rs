@@ -1,9 +1,9 @@
 //! What follows from an event: insert what has room, start an update, hand out episodes, keep everything moving.
 
+use super::Admission;
 use super::buffer::lag;
 use super::episodes::{Episode, Finished, episode_seeds};
 use super::types::{Assignment, Command, Outcome, Round};
-use super::Admission;
 
 impl Admission {
     /// Does all that the present state allows. Called after every event.
@@ -32,7 +32,12 @@ impl Admission {
         for scenario in 0..self.buffers.len() {
             for fragment in self.buffers[scenario].drop_stale(oldest) {
                 self.buffers[scenario].count(Outcome::Stale);
-                self.acknowledge(&fragment.id.actor, fragment.id.episode, fragment.id.sequence, Outcome::Stale);
+                self.acknowledge(
+                    &fragment.id.actor,
+                    fragment.id.episode,
+                    fragment.id.sequence,
+                    Outcome::Stale,
+                );
             }
         }
     }
@@ -67,11 +72,21 @@ impl Admission {
 
     /// Sends what became of a fragment, unless the actor is not connected: then it asks again by sending it again.
     pub(super) fn acknowledge(&mut self, actor: &str, episode: u64, sequence: u32, outcome: Outcome) {
-        let min_policy_version = self.min_policy_version();
+        let min_policy_version = match outcome {
+            // Whoever is behind must catch up before it goes on, or all it does is stale.
+            Outcome::Stale => self.policy_version,
+            _ => self.min_policy_version(),
+        };
         let Some(known) = self.actors.get_mut(actor) else { return };
         let carrier = known.held.remove(&(episode, sequence));
         if let Some(stream) = known.stream.filter(|stream| carrier.is_none_or(|carrier| carrier == *stream)) {
-            self.commands.push(Command::Acknowledge { stream, episode, sequence, outcome, min_policy_version });
+            self.commands.push(Command::Acknowledge {
+                stream,
+                episode,
+                sequence,
+                outcome,
+                min_policy_version,
+            });
         }
     }
 
@@ -125,7 +140,10 @@ impl Admission {
     /// the scenario with the least supply.
     fn assign(&mut self) {
         let last_round_taken = self.progress.updates >= self.settings.updates;
-        if self.stopping || last_round_taken || (self.settings.serial && (self.is_updating() || self.round_is_ready())) {
+        if self.stopping
+            || last_round_taken
+            || (self.settings.serial && (self.is_updating() || self.round_is_ready()))
+        {
             return;
         }
         while let Some(id) = self.requests.pop_front() {

@@ -47,7 +47,9 @@ impl World {
             steps,
         };
         for i in 0..actors {
-            world.actors.push(SimulatedActor { patient: patient ^ (i % 3 == 2), ..SimulatedActor::default() });
+            world
+                .actors
+                .push(SimulatedActor { patient: patient ^ (i % 3 == 2), ..SimulatedActor::default() });
             world.start(i);
         }
         world
@@ -141,13 +143,15 @@ impl World {
         for command in commands {
             match command {
                 Command::Acknowledge { stream, episode, sequence, .. } => {
-                    let actor = self.actors.iter_mut().find(|a| a.stream == Some(stream.0)).expect("a live stream");
+                    let actor =
+                        self.actors.iter_mut().find(|a| a.stream == Some(stream.0)).expect("a live stream");
                     let before = actor.unacked.len();
                     actor.unacked.retain(|f| (f.id.episode, f.id.sequence) != (episode, sequence));
                     assert_eq!(actor.unacked.len() + 1, before, "acknowledged what was not sent");
                 }
                 Command::Assign { stream, assignment } => {
-                    let actor = self.actors.iter_mut().find(|a| a.stream == Some(stream.0)).expect("a live stream");
+                    let actor =
+                        self.actors.iter_mut().find(|a| a.stream == Some(stream.0)).expect("a live stream");
                     assert!(actor.requested && actor.episode.is_none());
                     actor.requested = false;
                     actor.episode = Some((assignment.episode, assignment.scenario, 0, 0));
@@ -162,8 +166,12 @@ impl World {
                 Command::Update(round) => {
                     assert!(self.in_training.is_none(), "two updates at once");
                     for scenario in &self.admission.settings().scenarios {
-                        let steps: u32 =
-                            round.fragments.iter().filter(|f| f.scenario == scenario.name).map(|f| f.steps).sum();
+                        let steps: u32 = round
+                            .fragments
+                            .iter()
+                            .filter(|f| f.scenario == scenario.name)
+                            .map(|f| f.steps)
+                            .sum();
                         assert!(u64::from(steps) >= self.admission.settings().round_steps);
                     }
                     assert!(round.lag.max <= self.admission.settings().max_policy_lag);
@@ -190,7 +198,10 @@ impl World {
         let there = self.admission.inserted_fragments() as u64;
         let pending = accepted - self.trained_fragments - dropped;
         // Between the command and its execution here a round is in neither place.
-        assert!(pending == there + in_training || self.admission.is_updating(), "an acknowledged fragment is lost");
+        assert!(
+            pending == there + in_training || self.admission.is_updating(),
+            "an acknowledged fragment is lost"
+        );
     }
 
     /// Everybody alive works in turn and updates end: the wanted number of updates must come.

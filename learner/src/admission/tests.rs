@@ -64,7 +64,9 @@ fn joined(settings: Settings) -> Admission {
 
 fn request(admission: &mut Admission, stream: u64) -> Option<Assignment> {
     let commands = admission.request_episode(Duration::ZERO, StreamId(stream));
-    commands.into_iter().find_map(|c| if let Command::Assign { assignment, .. } = c { Some(assignment) } else { None })
+    commands
+        .into_iter()
+        .find_map(|c| if let Command::Assign { assignment, .. } = c { Some(assignment) } else { None })
 }
 
 fn outcomes(commands: &[Command]) -> Vec<(u64, u32, Outcome)> {
@@ -162,7 +164,8 @@ fn fields_at_fault_end_that_stream_alone() {
         request(&mut admission, 1).unwrap();
         let b = request(&mut admission, 2).unwrap();
         let commands = offer(&mut admission, 1, bad);
-        let [Command::Close { stream: StreamId(1), reason: CloseReason::Invalid { field, .. } }] = &commands[..]
+        let [Command::Close { stream: StreamId(1), reason: CloseReason::Invalid { field, .. } }] =
+            &commands[..]
         else {
             panic!("{expected}: {commands:?}")
         };
@@ -261,8 +264,14 @@ fn joining_again_ends_the_stream_but_a_healed_connection_loses_nothing() {
     assert_eq!(commands, [Command::Close { stream: StreamId(1), reason: CloseReason::Replaced }]);
     assert_eq!(offer(&mut admission, 1, fragment("a", 0, 1, "x", 10, 10)), [], "the old stream is dead");
     admission.hello(Duration::ZERO, StreamId(2), "a", EPOCH).unwrap();
-    assert_eq!(outcomes(&offer(&mut admission, 2, fragment("a", 0, 0, "x", 0, 10))), [(0, 0, Outcome::Duplicate)]);
-    assert_eq!(outcomes(&offer(&mut admission, 2, fragment("a", 0, 1, "x", 10, 10))), [(0, 1, Outcome::Accepted)]);
+    assert_eq!(
+        outcomes(&offer(&mut admission, 2, fragment("a", 0, 0, "x", 0, 10))),
+        [(0, 0, Outcome::Duplicate)]
+    );
+    assert_eq!(
+        outcomes(&offer(&mut admission, 2, fragment("a", 0, 1, "x", 10, 10))),
+        [(0, 1, Outcome::Accepted)]
+    );
 }
 
 #[test]
@@ -345,7 +354,8 @@ fn nothing_starts_after_stop_or_past_the_last_update() {
 
 #[test]
 fn counters_go_on_from_a_checkpoint() {
-    let progress = Progress { updates: 4, next_episode: 17, episodes: 15, decisions: 999, ..Progress::default() };
+    let progress =
+        Progress { updates: 4, next_episode: 17, episodes: 15, decisions: 999, ..Progress::default() };
     let mut admission = Admission::new(settings(&["x"]), 2, progress);
     admission.join(Duration::ZERO, "a", &[]).unwrap();
     admission.hello(Duration::ZERO, StreamId(1), "a", EPOCH).unwrap();

@@ -115,10 +115,8 @@ pub fn find(run: &Path, id: &str) -> Result<PathBuf, CheckpointError> {
 pub fn metadata(checkpoint: &Path) -> Result<Metadata, CheckpointError> {
     let path = checkpoint.join(METADATA_FILE);
     let bytes = read_file(checkpoint, METADATA_FILE)?;
-    let text = String::from_utf8(bytes).map_err(|_| CheckpointError::Foreign {
-        path: path.clone(),
-        reason: "it is not text".to_owned(),
-    })?;
+    let text = String::from_utf8(bytes)
+        .map_err(|_| CheckpointError::Foreign { path: path.clone(), reason: "it is not text".to_owned() })?;
     Metadata::parse(&text, &path)
 }
 

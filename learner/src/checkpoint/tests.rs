@@ -93,7 +93,8 @@ fn writing_the_same_update_again_replaces_it() {
     let store = Store::open(run.path(), 10).unwrap();
     store.write(&files(99), metadata(5)).unwrap();
     assert_eq!(reader::read(&reader::find(run.path(), "000005").unwrap()).unwrap().files, files(99));
-    let left: Vec<_> = fs::read_dir(run.path().join(FOLDER)).unwrap().map(|e| e.unwrap().file_name()).collect();
+    let left: Vec<_> =
+        fs::read_dir(run.path().join(FOLDER)).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(left.len(), 2, "{left:?}");
 }
 
@@ -128,7 +129,10 @@ fn every_damage_gives_one_sentence_that_names_the_file() {
         let text = error.to_string();
         assert!(text.contains(file) && text.contains(words) && !text.contains('\n'), "{text}");
         assert!(error.is_corrupt());
-        assert!(reader::verify(&path).is_err() && reader::load_policy(run.path()).is_err() || file.starts_with("opt"));
+        assert!(
+            reader::verify(&path).is_err() && reader::load_policy(run.path()).is_err()
+                || file.starts_with("opt")
+        );
         // A run goes on from the one before, and says what is wrong with the newest.
         let resumed = reader::resume(run.path(), COMPATIBLE).unwrap().unwrap();
         assert_eq!(resumed.checkpoint.metadata.updates, 1);
@@ -148,7 +152,10 @@ fn another_configuration_is_refused_by_name_and_not_passed_over() {
     let run = run_with(&[1]);
     let error = reader::resume(run.path(), "feedfeedfeedfeed").unwrap_err();
     let text = error.to_string();
-    assert!(text.contains(COMPATIBLE) && text.contains("feedfeedfeedfeed") && text.contains("000001"), "{text}");
+    assert!(
+        text.contains(COMPATIBLE) && text.contains("feedfeedfeedfeed") && text.contains("000001"),
+        "{text}"
+    );
     assert!(!error.is_corrupt());
 }
 

@@ -189,9 +189,14 @@ impl Coordinator {
             Report::UpdateFailed(error) => {
                 self.telemetry.update_failed();
                 self.failed_updates += 1;
-                tracing::error!(in_a_row = self.failed_updates, "the update failed: {error}; its data is dropped");
+                tracing::error!(
+                    in_a_row = self.failed_updates,
+                    "the update failed: {error}; its data is dropped"
+                );
                 if self.failed_updates >= MAX_FAILED_UPDATES {
-                    return Some(Ending::Failed(format!("{MAX_FAILED_UPDATES} updates in a row failed: {error}")));
+                    return Some(Ending::Failed(format!(
+                        "{MAX_FAILED_UPDATES} updates in a row failed: {error}"
+                    )));
                 }
                 let commands = self.admission.update_failed();
                 self.execute(commands);
@@ -210,7 +215,9 @@ impl Coordinator {
                 self.show();
                 return match (last, result) {
                     (false, _) => None,
-                    (true, Err(error)) => Some(Ending::Failed(format!("the last checkpoint is missing: {error}"))),
+                    (true, Err(error)) => {
+                        Some(Ending::Failed(format!("the last checkpoint is missing: {error}")))
+                    }
                     (true, Ok(_)) if self.complete => Some(Ending::Complete),
                     (true, Ok(_)) => Some(Ending::Drained),
                 };

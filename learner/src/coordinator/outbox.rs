@@ -1,9 +1,9 @@
 //! Where answers to actors go: one bounded queue per stream.
 
 use crate::admission::{CloseReason, Outcome, StreamId};
+use cross_proto::Violation;
 use cross_proto::status::{self, Reason};
 use cross_proto::v1::{self, stream_fragments_response::Message};
-use cross_proto::Violation;
 use std::collections::HashMap;
 use tokio::sync::mpsc;
 use tokio_util::sync::{CancellationToken, DropGuard};
@@ -84,7 +84,9 @@ pub(super) fn close_status(reason: CloseReason) -> Status {
         CloseReason::Replaced => {
             status::error(Reason::Superseded, "the same actor id joined or opened a stream elsewhere")
         }
-        CloseReason::LeaseEnded => status::error(Reason::NotJoined, "the lease ended after silence; join again"),
+        CloseReason::LeaseEnded => {
+            status::error(Reason::NotJoined, "the lease ended after silence; join again")
+        }
         CloseReason::Invalid { field, description } => {
             status::invalid(&Violation::new(format!("fragment.{field}"), description))
         }

@@ -23,12 +23,26 @@ pub(crate) struct JoinInfo {
 #[derive(Debug)]
 pub(crate) enum Request {
     Join(JoinInfo, oneshot::Sender<Result<(), JoinRefusal>>),
-    Open { stream: StreamId, actor: String, epoch: u64, outbox: Outbox, reply: oneshot::Sender<Result<(), HelloRefusal>> },
+    Open {
+        stream: StreamId,
+        actor: String,
+        epoch: u64,
+        outbox: Outbox,
+        reply: oneshot::Sender<Result<(), HelloRefusal>>,
+    },
     Episode(StreamId),
-    Aborted { stream: StreamId, episode: u64, reason: String },
+    Aborted {
+        stream: StreamId,
+        episode: u64,
+        reason: String,
+    },
     Heartbeat(StreamId),
     Fragment(StreamId, Box<Fragment>),
-    Invalid { stream: StreamId, scenario: Option<usize>, problem: String },
+    Invalid {
+        stream: StreamId,
+        scenario: Option<usize>,
+        problem: String,
+    },
     Left(StreamId),
     Disconnected(StreamId),
     Pause(oneshot::Sender<()>),
@@ -58,7 +72,10 @@ impl Coordinator {
     }
 
     /// Queues a request and waits for its answer.
-    pub(crate) async fn ask<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Gone> {
+    pub(crate) async fn ask<T>(
+        &self,
+        request: impl FnOnce(oneshot::Sender<T>) -> Request,
+    ) -> Result<T, Gone> {
         let (reply, answer) = oneshot::channel();
         self.send(request(reply)).await?;
         answer.await.map_err(|_| Gone)

@@ -1,7 +1,7 @@
 //! `cross.v1.Checkpoints`: what is on the disk, for people and programs.
 
 use super::Shared;
-use crate::checkpoint::{CheckpointError, Metadata, MODEL_FILE, reader, updates_of};
+use crate::checkpoint::{CheckpointError, MODEL_FILE, Metadata, reader, updates_of};
 use bytes::Bytes;
 use cross_proto::status::{self, Reason};
 use cross_proto::weights::CHUNK_BYTES;
@@ -33,7 +33,9 @@ impl CheckpointsService {
         let run: PathBuf = self.shared.run.clone();
         match tokio::task::spawn_blocking(move || work(&run)).await {
             Ok(result) => result,
-            Err(error) => Err(status::error(Reason::Internal, format!("reading checkpoints failed: {error}"))),
+            Err(error) => {
+                Err(status::error(Reason::Internal, format!("reading checkpoints failed: {error}")))
+            }
         }
     }
 }

@@ -110,7 +110,9 @@ impl Reader {
                 Request::Aborted { stream, episode: aborted.episode, reason }
             }
             Some(Message::Heartbeat(_)) => Request::Heartbeat(stream),
-            Some(Message::Hello(_)) => return Err(refused(unexpected("a second hello came on the same stream"))),
+            Some(Message::Hello(_)) => {
+                return Err(refused(unexpected("a second hello came on the same stream")));
+            }
             None => return Err(refused(unexpected("an empty message, or one of a later protocol"))),
         };
         Ok(self.shared.coordinator.send(request).await?)

@@ -92,7 +92,9 @@ pub(crate) async fn serve(shared: Shared, listener: TcpListener) -> anyhow::Resu
     let served = Server::builder()
         .http2_keepalive_interval(Some(keepalive))
         .http2_keepalive_timeout(Some(keepalive))
-        .add_service(tonic_health::pb::health_server::HealthServer::new(HealthService::from_health_reporter(health)))
+        .add_service(tonic_health::pb::health_server::HealthServer::new(HealthService::from_health_reporter(
+            health,
+        )))
         .add_service(reflection().build_v1()?)
         .add_service(reflection().build_v1alpha()?)
         .add_service(learner)

@@ -27,7 +27,7 @@ use tonic::{Status, Streaming};
 const HANG: Duration = Duration::from_secs(60);
 
 /// Waits, but not for ever.
-pub async fn soon<T>(what: &str, future: impl Future<Output = T>) -> T {
+pub(crate) async fn soon<T>(what: &str, future: impl Future<Output = T>) -> T {
     tokio::time::timeout(HANG, future).await.unwrap_or_else(|_| panic!("{what} did not happen"))
 }
 
@@ -58,12 +58,12 @@ fn intersection(id: &str, lanes: usize) -> Intersection {
 }
 
 /// Two intersections of different size.
-pub fn layout() -> Arc<NetworkLayout> {
+pub(crate) fn layout() -> Arc<NetworkLayout> {
     Arc::new(NetworkLayout { intersections: vec![intersection("north", 4), intersection("south", 3)] })
 }
 
 /// Episodes of ten steps in two fragments, and an update after each, in milliseconds.
-pub fn config(scenarios: &[&str], updates: u64) -> Config {
+pub(crate) fn config(scenarios: &[&str], updates: u64) -> Config {
     let mut config = Config {
         seed: 7,
         scenarios: scenarios.iter().map(|name| (*name).to_owned()).collect(),
@@ -87,24 +87,24 @@ pub fn config(scenarios: &[&str], updates: u64) -> Config {
 }
 
 /// A learner in this process.
-pub struct TestLearner {
+pub(crate) struct TestLearner {
     learner: Learner,
-    pub grpc: SocketAddr,
-    pub metrics: SocketAddr,
-    pub run: PathBuf,
-    pub config: Config,
+    pub(crate) grpc: SocketAddr,
+    pub(crate) metrics: SocketAddr,
+    pub(crate) run: PathBuf,
+    pub(crate) config: Config,
 }
 
 impl TestLearner {
     /// Starts a learner on free ports, resuming what is in `run`, and waits until it serves.
-    pub async fn start(config: Config, run: &Path) -> Self {
+    pub(crate) async fn start(config: Config, run: &Path) -> Self {
         let learner = Self::launch(config, run).await;
         assert!(soon("ready", learner.learner.ready()).await);
         learner
     }
 
     /// As [`start`](Self::start), without waiting.
-    pub async fn launch(config: Config, run: &Path) -> Self {
+    pub(crate) async fn launch(config: Config, run: &Path) -> Self {
         let any = "127.0.0.1:0";
         let (grpc, metrics) = (TcpListener::bind(any).await.unwrap(), TcpListener::bind(any).await.unwrap());
         let addresses = (grpc.local_addr().unwrap(), metrics.local_addr().unwrap());
@@ -119,24 +119,24 @@ impl TestLearner {
         Self { learner, grpc: addresses.0, metrics: addresses.1, run: run.to_owned(), config }
     }
 
-    pub fn epoch(&self) -> u64 {
+    pub(crate) fn epoch(&self) -> u64 {
         self.learner.session_epoch()
     }
 
-    pub fn drain(&self) -> CancellationToken {
+    pub(crate) fn drain(&self) -> CancellationToken {
         self.learner.drain()
     }
 
-    pub async fn ended(self) -> Ending {
+    pub(crate) async fn ended(self) -> Ending {
         soon("the end", self.learner.finished()).await
     }
 
-    pub async fn channel(&self) -> Channel {
+    pub(crate) async fn channel(&self) -> Channel {
         Channel::from_shared(format!("http://{}", self.grpc)).unwrap().connect().await.unwrap()
     }
 
     /// Lines of `metrics.jsonl` without what depends on the clock.
-    pub fn metrics_lines(run: &Path) -> Vec<serde_json::Value> {
+    pub(crate) fn metrics_lines(run: &Path) -> Vec<serde_json::Value> {
         let text = std::fs::read_to_string(run.join("metrics.jsonl")).unwrap_or_default();
         let timeless = |line: &str| {
             let mut line: serde_json::Value = serde_json::from_str(line).unwrap();
@@ -149,7 +149,7 @@ impl TestLearner {
 }
 
 /// A join request that agrees with the learner.
-pub fn join_request(actor: &str) -> v1::JoinRequest {
+pub(crate) fn join_request(actor: &str) -> v1::JoinRequest {
     v1::JoinRequest {
         actor_id: actor.to_owned(),
         host: "test".to_owned(),
@@ -165,11 +165,11 @@ pub fn join_request(actor: &str) -> v1::JoinRequest {
 }
 
 /// An actor with an open fragment stream.
-pub struct TestActor {
-    pub client: LearnerClient<Channel>,
-    pub id: String,
-    pub epoch: u64,
-    pub joined: v1::JoinResponse,
+pub(crate) struct TestActor {
+    pub(crate) client: LearnerClient<Channel>,
+    pub(crate) id: String,
+    pub(crate) epoch: u64,
+    pub(crate) joined: v1::JoinResponse,
     requests: mpsc::Sender<v1::StreamFragmentsRequest>,
     answers: Streaming<v1::StreamFragmentsResponse>,
     weights: Streaming<v1::WatchWeightsResponse>,
@@ -177,7 +177,7 @@ pub struct TestActor {
 }
 
 impl TestActor {
-    pub async fn join(learner: &TestLearner, id: &str) -> Self {
+    pub(crate) async fn join(learner: &TestLearner, id: &str) -> Self {
         let mut client = LearnerClient::new(learner.channel().await);
         let joined = client.join(join_request(id)).await.unwrap().into_inner();
         let request = v1::WatchWeightsRequest { actor_id: id.to_owned(), known_version: 0 };
@@ -188,21 +188,21 @@ impl TestActor {
     }
 
     /// Opens another stream under the same lease.
-    pub async fn reconnect(&mut self) {
+    pub(crate) async fn reconnect(&mut self) {
         (self.requests, self.answers) = open(&mut self.client, &self.id, self.epoch).await.unwrap();
     }
 
-    pub async fn say(&self, message: up::Message) {
+    pub(crate) async fn say(&self, message: up::Message) {
         let request = v1::StreamFragmentsRequest { message: Some(message) };
         soon("sending", self.requests.send(request)).await.unwrap();
     }
 
-    pub async fn hear(&mut self) -> Result<Option<down::Message>, Status> {
+    pub(crate) async fn hear(&mut self) -> Result<Option<down::Message>, Status> {
         let answer = soon("an answer", self.answers.message()).await?;
         Ok(answer.and_then(|answer| answer.message))
     }
 
-    pub async fn ask_for_episode(&mut self) -> v1::EpisodeAssignment {
+    pub(crate) async fn ask_for_episode(&mut self) -> v1::EpisodeAssignment {
         self.say(up::Message::EpisodeRequest(v1::EpisodeRequest {})).await;
         match self.hear().await.unwrap() {
             Some(down::Message::Assignment(assignment)) => assignment,
@@ -210,20 +210,20 @@ impl TestActor {
         }
     }
 
-    pub async fn ack(&mut self) -> v1::Ack {
+    pub(crate) async fn ack(&mut self) -> v1::Ack {
         match self.hear().await.unwrap() {
             Some(down::Message::Ack(ack)) => ack,
             other => panic!("{other:?}"),
         }
     }
 
-    pub async fn send(&mut self, fragment: v1::Fragment) -> v1::Ack {
+    pub(crate) async fn send(&mut self, fragment: v1::Fragment) -> v1::Ack {
         self.say(up::Message::Fragment(fragment)).await;
         self.ack().await
     }
 
     /// The next whole snapshot.
-    pub async fn snapshot(&mut self) -> Snapshot {
+    pub(crate) async fn snapshot(&mut self) -> Snapshot {
         let mut assembler = Assembler::new(1 << 30);
         loop {
             let chunk = soon("weights", self.weights.message()).await.unwrap().unwrap();
@@ -234,7 +234,7 @@ impl TestActor {
     }
 
     /// Holds at least this version of the policy.
-    pub async fn hold_version(&mut self, version: u64) {
+    pub(crate) async fn hold_version(&mut self, version: u64) {
         while self.policy.as_ref().is_none_or(|policy| policy.version() < version) {
             let snapshot = self.snapshot().await;
             match &mut self.policy {
@@ -245,14 +245,18 @@ impl TestActor {
     }
 
     /// The fragments of an assigned episode, acted by the policy in a network made of the episode's seeds.
-    pub async fn episode(&mut self, config: &Config, assignment: &v1::EpisodeAssignment) -> Vec<v1::Fragment> {
+    pub(crate) async fn episode(
+        &mut self,
+        config: &Config,
+        assignment: &v1::EpisodeAssignment,
+    ) -> Vec<v1::Fragment> {
         self.hold_version(assignment.min_policy_version.max(1)).await;
         let fragments = simulate(self.policy.as_mut().unwrap(), config, assignment, &self.id, self.epoch);
         fragments.iter().map(v1::Fragment::from).collect()
     }
 
     /// Works as an actor does until the learner says goodbye; whether training was complete.
-    pub async fn work(&mut self, config: &Config) -> bool {
+    pub(crate) async fn work(&mut self, config: &Config) -> bool {
         loop {
             self.say(up::Message::EpisodeRequest(v1::EpisodeRequest {})).await;
             let assignment = match self.hear().await.unwrap() {
@@ -273,7 +277,7 @@ impl TestActor {
 }
 
 /// Opens a fragment stream.
-pub async fn open(
+pub(crate) async fn open(
     client: &mut LearnerClient<Channel>,
     id: &str,
     epoch: u64,
