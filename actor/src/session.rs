@@ -123,6 +123,7 @@ impl Network {
         let mut uplink = Uplink::new(self.joiner.actor_id.clone());
         let mut backoff = Backoff::new(self.joiner.jitter_seed());
         let mut refusals = 0;
+        let mut outage = Outage::default();
         let mut heard = Instant::now();
         loop {
             let mut contact = Contact { heard, progress: false, refused: None };
@@ -130,6 +131,7 @@ impl Network {
             self.telemetry.disconnected();
             heard = contact.heard;
             if contact.progress {
+                outage = Outage::default();
                 backoff.reset();
                 refusals = 0;
             }
@@ -154,11 +156,7 @@ impl Network {
             }
             let pause = backoff.pause().max(at_least).min(self.give_up() - alone);
             self.telemetry.reconnect();
-            tracing::warn!(
-                learner = %self.joiner.learner,
-                retry_seconds = pause.as_secs_f64(),
-                "lost the learner: {why}"
-            );
+            outage.report(&self.joiner.learner, &why, self.give_up() - alone);
             tokio::select! {
                 () = self.stop.cancelled() => return Ok(Ending::Stopped),
                 () = tokio::time::sleep(pause) => {}
@@ -275,6 +273,24 @@ impl Network {
             };
             Duration::from_secs(seconds)
         })
+    }
+}
+
+/// A time without a learner. Thousands of lines of retries would bury the one that says why it began.
+#[derive(Debug, Default)]
+struct Outage {
+    last: Option<String>,
+}
+
+impl Outage {
+    /// Logs a failed attempt, loudly if it tells something new.
+    fn report(&mut self, learner: &str, why: &str, left: Duration) {
+        if self.last.as_deref() == Some(why) {
+            tracing::debug!(learner, "still no learner: {why}");
+        } else {
+            tracing::warn!(learner, give_up_seconds = left.as_secs(), "no learner, trying again: {why}");
+            self.last = Some(why.to_owned());
+        }
     }
 }
 
