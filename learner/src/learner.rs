@@ -3,7 +3,7 @@
 use crate::admin;
 use crate::admission::{Admission, ScenarioSettings, Settings};
 use crate::checkpoint::{CheckpointError, Resumed, Store, reader};
-use crate::coordinator::{Coordinator, Ending, Handle, Life, REQUEST_QUEUE};
+use crate::coordinator::{Channels, Coordinator, Ending, Handle, Life, REQUEST_QUEUE};
 use crate::metrics_log::MetricsLog;
 use crate::service::{self, Shared};
 use crate::telemetry::Telemetry;
@@ -122,7 +122,6 @@ impl Learner {
             store,
             log,
             telemetry: telemetry.clone(),
-            newest: newest_sender,
         };
         let trainer =
             trainer::spawn(trainer_setup, work, report_sender).context("cannot start the trainer thread")?;
@@ -133,8 +132,7 @@ impl Learner {
             latest,
             work_sender,
             telemetry.clone(),
-            life_sender,
-            status_sender,
+            Channels { life: life_sender, status: status_sender, newest: newest_sender },
         );
         let coordinator = tokio::spawn(task.run(requests, reports, drain.clone()));
         let shared = Shared {

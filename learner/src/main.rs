@@ -92,16 +92,15 @@ async fn run(options: &Options) -> Result<(), Failure> {
     let (session_epoch, drain) = (learner.session_epoch(), learner.drain());
 
     // From here on a signal drains; a second one, or a drain that takes too long, ends the process at once.
-    tokio::spawn(async move {
+    let stopping = tokio::spawn(async move {
         signals.next().await;
         drain.cancel();
         tokio::select! {
-            () = signals.next() => tracing::error!("second signal: ending without a checkpoint"),
+            () = signals.next() => "a second signal came: ended without waiting for the checkpoint".to_owned(),
             () = tokio::time::sleep(drain_deadline) => {
-                tracing::error!(seconds = drain_deadline.as_secs(), "learner.drain_seconds are over: ending as it is");
+                format!("the drain took longer than learner.drain_seconds = {}: ended as it is", drain_deadline.as_secs())
             }
         }
-        std::process::exit(1);
     });
     if learner.ready().await {
         let (grpc, metrics) = addresses;
@@ -109,7 +108,10 @@ async fn run(options: &Options) -> Result<(), Failure> {
             .map_err(anyhow::Error::from)?;
         tracing::info!(%grpc, %metrics, "serving");
     }
-    let ending = learner.finished().await;
+    let ending = tokio::select! {
+        ending = learner.finished() => ending,
+        Ok(problem) = stopping => Ending::Failed(problem),
+    };
     if let Err(error) = run.withdraw() {
         tracing::warn!("{error}");
     }

@@ -102,9 +102,8 @@ impl Telemetry {
     }
 
     /// An update is done.
-    pub fn updated(&self, policy_version: u64, seconds: f64, stats: &UpdateStats) {
+    pub fn updated(&self, seconds: f64, stats: &UpdateStats) {
         self.updates.increment(1);
-        self.policy_version.set(policy_version as f64);
         self.update_seconds.record(seconds);
         metrics::with_local_recorder(&*self.recorder, || {
             for (term, value) in &stats.losses {
@@ -122,7 +121,7 @@ impl Telemetry {
         });
     }
 
-    /// The version that is published at the start.
+    /// The version that is published from now on.
     pub fn published(&self, policy_version: u64) {
         self.policy_version.set(policy_version as f64);
     }
@@ -245,7 +244,8 @@ mod tests {
             cluster_usage: vec![1.0],
             ..UpdateStats::default()
         };
-        telemetry.updated(2, 0.3, &stats);
+        telemetry.updated(0.3, &stats);
+        telemetry.published(2);
         telemetry.checkpointed(0.1);
         let text = telemetry.render();
         for name in [

@@ -1,8 +1,8 @@
-//! The thread that owns the model: updates, publication, `metrics.jsonl`, checkpoints.
+//! The thread that owns the model: updates, snapshots, `metrics.jsonl`, checkpoints.
 //!
 //! libtorch and the disk block, so they live here; the asynchronous side talks to this thread through two bounded channels.
 //! ```text
-//!   Update(round) ──> PPO ──> publish ──> Updated ──> metrics.jsonl ──> checkpoint, if due ──> Checkpoint
+//!   Update(round) ──> PPO ──> snapshot ──> Updated ──> metrics.jsonl ──> checkpoint, if due ──> Checkpoint
 //! ```
 
 use crate::admission::{Progress, Round};
@@ -16,7 +16,7 @@ use cross_sim::layout::NetworkLayout;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
-use tokio::sync::{mpsc, watch};
+use tokio::sync::mpsc;
 
 /// Work for the thread.
 #[derive(Debug)]
@@ -37,11 +37,11 @@ pub(crate) enum Work {
 /// What the thread reports.
 #[derive(Debug)]
 pub(crate) enum Report {
-    /// The model stands, restored if asked, and its weights are published.
-    Ready { policy_version: u64 },
+    /// The model stands, restored if asked; its weights are to be published.
+    Ready(Arc<Published>),
     /// The model cannot be set up.
     Unusable(ModelError),
-    /// An update is done and published.
+    /// An update is done; its weights are to be published.
     Updated(Box<Updated>),
     /// An update failed; the weights are as before.
     UpdateFailed(ModelError),
@@ -52,7 +52,7 @@ pub(crate) enum Report {
 /// A finished update.
 #[derive(Debug)]
 pub(crate) struct Updated {
-    pub(crate) policy_version: u64,
+    pub(crate) published: Arc<Published>,
     pub(crate) stats: UpdateStats,
     pub(crate) seconds: f64,
 }
@@ -66,7 +66,6 @@ pub(crate) struct TrainerSetup {
     pub(crate) store: Store,
     pub(crate) log: MetricsLog,
     pub(crate) telemetry: Telemetry,
-    pub(crate) newest: watch::Sender<Option<Arc<Published>>>,
 }
 
 /// Starts the thread; it ends when `work` closes or nobody listens to its reports.
@@ -94,7 +93,7 @@ fn run(mut setup: TrainerSetup, mut work: mpsc::Receiver<Work>, reports: &mpsc::
         idle_since: Instant::now(),
         setup,
     };
-    let ready = worker.publish().map(|()| Report::Ready { policy_version: worker.trainer.policy_version() });
+    let ready = worker.snapshot().map(Report::Ready);
     if reports.blocking_send(ready.unwrap_or_else(Report::Unusable)).is_err() {
         return;
     }
@@ -141,17 +140,20 @@ impl Worker {
     fn update(&mut self, round: Round, sumo: String, reports: &mpsc::Sender<Report>) -> Sent {
         let begun = Instant::now();
         let collect_seconds = (begun - self.idle_since).as_secs_f64();
-        let result = self.trainer.update(&round.fragments).and_then(|stats| self.publish().map(|()| stats));
+        let result = self
+            .trainer
+            .update(&round.fragments)
+            .and_then(|stats| self.snapshot().map(|published| (stats, published)));
         let update_seconds = begun.elapsed().as_secs_f64();
         self.idle_since = Instant::now();
-        let stats = match result {
-            Ok(stats) => stats,
+        let (stats, published) = match result {
+            Ok(done) => done,
             Err(error) => return reports.blocking_send(Report::UpdateFailed(error)),
         };
         self.progress = round.progress;
         self.sumo = sumo;
         let policy_version = self.trainer.policy_version();
-        self.setup.telemetry.updated(policy_version, update_seconds, &stats);
+        self.setup.telemetry.updated(update_seconds, &stats);
         self.setup.telemetry.lag(&round.lag);
         let timing =
             Timing { collect_seconds, update_seconds, uptime_seconds: self.started.elapsed().as_secs_f64() };
@@ -170,7 +172,7 @@ impl Worker {
             timing,
         };
         // Actors go on while the disk is busy.
-        let updated = Updated { policy_version, stats, seconds: update_seconds };
+        let updated = Updated { published, stats, seconds: update_seconds };
         reports.blocking_send(Report::Updated(Box::new(updated)))?;
         if let Err(error) = self.setup.log.append(&line) {
             self.setup.telemetry.log_failed();
@@ -185,11 +187,10 @@ impl Worker {
             || updates >= self.setup.config.updates
     }
 
-    fn publish(&self) -> Result<(), ModelError> {
-        let version = self.trainer.policy_version();
-        self.setup.newest.send_replace(Some(Published::new(version, self.trainer.snapshot()?)));
-        self.setup.telemetry.published(version);
-        Ok(())
+    /// The present weights, encoded for all watchers. The coordinator publishes them, not this thread: an actor must not
+    /// hold a version that admission has not heard of.
+    fn snapshot(&self) -> Result<Arc<Published>, ModelError> {
+        Ok(Published::new(self.trainer.policy_version(), self.trainer.snapshot()?))
     }
 
     fn checkpoint(&mut self, last: bool) -> Report {

@@ -1,5 +1,7 @@
 //! The program itself: exit codes, sentences, learner.json, signals.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests fail by panicking, in their helpers too")]
+
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 

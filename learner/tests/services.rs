@@ -1,5 +1,7 @@
 //! Every refusal by its reason, and the services for people and programs.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests fail by panicking, in their helpers too")]
+
 mod support;
 
 use cross_learner::checkpoint::reader;

@@ -1,5 +1,7 @@
 //! Whole trainings over real gRPC: what an actor sees, what is left on the disk, and that nothing depends on a restart.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests fail by panicking, in their helpers too")]
+
 mod support;
 
 use cross_learner::Ending;

@@ -15,11 +15,13 @@ pub(crate) use outbox::Outbox;
 pub(crate) use request::{Coordinator as Handle, Gone, JoinInfo, QUEUE as REQUEST_QUEUE, Request};
 
 use crate::admission::{Admission, Command};
+use crate::publish::Published;
 use crate::telemetry::Telemetry;
 use crate::trainer::{Report, Updated, Work};
 use cross_proto::v1::{self, stream_fragments_response::Message};
 use outbox::Outboxes;
 use status::{Last, Rate, status};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
@@ -49,14 +51,24 @@ pub enum Ending {
     Failed(String),
 }
 
+/// What the coordinator tells everybody.
+#[derive(Debug)]
+pub(crate) struct Channels {
+    /// Where the process is in its life.
+    pub(crate) life: watch::Sender<Life>,
+    /// The state of training.
+    pub(crate) status: watch::Sender<v1::TrainingStatus>,
+    /// The newest weights.
+    pub(crate) newest: watch::Sender<Option<Arc<Published>>>,
+}
+
 /// State of the task.
 pub(crate) struct Coordinator {
     admission: Admission,
     outboxes: Outboxes,
     work: mpsc::Sender<Work>,
     telemetry: Telemetry,
-    life: watch::Sender<Life>,
-    status: watch::Sender<v1::TrainingStatus>,
+    channels: Channels,
     run_id: String,
     started: Instant,
     last: Last,
@@ -74,16 +86,14 @@ impl Coordinator {
         latest_checkpoint: String,
         work: mpsc::Sender<Work>,
         telemetry: Telemetry,
-        life: watch::Sender<Life>,
-        status: watch::Sender<v1::TrainingStatus>,
+        channels: Channels,
     ) -> Self {
         Self {
             admission,
             outboxes: Outboxes::default(),
             work,
             telemetry,
-            life,
-            status,
+            channels,
             run_id,
             started: Instant::now(),
             last: Last { checkpoint: latest_checkpoint, ..Last::default() },
@@ -123,7 +133,7 @@ impl Coordinator {
                     self.show();
                     None
                 }
-                () = drain.cancelled(), if *self.life.borrow() != Life::Draining => {
+                () = drain.cancelled(), if *self.channels.life.borrow() != Life::Draining => {
                     self.stop();
                     None
                 }
@@ -132,7 +142,7 @@ impl Coordinator {
                 break ending;
             }
         };
-        self.life.send_replace(Life::Draining);
+        self.channels.life.send_replace(Life::Draining);
         self.outboxes.goodbye(ending == Ending::Complete);
         self.show();
         ending
@@ -144,8 +154,8 @@ impl Coordinator {
 
     /// Takes nothing new; the last checkpoint is written once no update is in progress.
     fn stop(&mut self) {
-        let starting = *self.life.borrow() == Life::Starting;
-        self.life.send_replace(Life::Draining);
+        let starting = *self.channels.life.borrow() == Life::Starting;
+        self.channels.life.send_replace(Life::Draining);
         self.admission.stop();
         tracing::info!(updating = self.admission.is_updating(), "draining");
         if !self.admission.is_updating() && !starting {
@@ -164,14 +174,16 @@ impl Coordinator {
 
     /// A report of the trainer; gives the end if it is one.
     fn heard(&mut self, report: Report) -> Option<Ending> {
-        let draining = *self.life.borrow() == Life::Draining;
+        let draining = *self.channels.life.borrow() == Life::Draining;
         match report {
-            Report::Ready { policy_version } if draining => {
-                tracing::info!(policy_version, "asked to stop before the start was done");
+            Report::Ready(_) if draining => {
+                tracing::info!("asked to stop before the start was done");
                 self.order(Work::Checkpoint { last: true });
             }
-            Report::Ready { policy_version } => {
-                self.life.send_replace(Life::Serving);
+            Report::Ready(published) => {
+                let policy_version = published.policy_version;
+                self.publish(published);
+                self.channels.life.send_replace(Life::Serving);
                 tracing::info!(policy_version, updates = self.admission.progress().updates, "ready");
                 if self.admission.is_complete() {
                     self.finish();
@@ -231,7 +243,7 @@ impl Coordinator {
         self.failed_updates = 0;
         tracing::info!(
             update = self.admission.progress().updates,
-            policy_version = updated.policy_version,
+            policy_version = updated.published.policy_version,
             seconds = updated.seconds,
             decisions = updated.stats.decisions,
             "update done"
@@ -239,14 +251,21 @@ impl Coordinator {
         self.last.seconds = updated.seconds;
         self.last.losses = updated.stats.losses;
         self.last.diagnostics = updated.stats.diagnostics;
-        let commands = self.admission.updated(updated.policy_version);
+        // Admission first: no actor may hold a version that it does not know. Acknowledgements last: they may name it.
+        let commands = self.admission.updated(updated.published.policy_version);
+        self.publish(updated.published);
         self.execute(commands);
+    }
+
+    fn publish(&self, published: Arc<Published>) {
+        self.telemetry.published(published.policy_version);
+        self.channels.newest.send_replace(Some(published));
     }
 
     /// All updates are done: the last checkpoint, then the end.
     fn finish(&mut self) {
         self.complete = true;
-        self.life.send_replace(Life::Draining);
+        self.channels.life.send_replace(Life::Draining);
         self.order(Work::Checkpoint { last: true });
     }
 
@@ -297,7 +316,7 @@ impl Coordinator {
         self.telemetry.observe(&self.admission);
         let phase = if self.complete {
             v1::training_status::Phase::Complete
-        } else if *self.life.borrow() == Life::Draining {
+        } else if *self.channels.life.borrow() == Life::Draining {
             v1::training_status::Phase::Draining
         } else if self.admission.is_updating() {
             v1::training_status::Phase::Updating
@@ -308,6 +327,13 @@ impl Coordinator {
         };
         let now = self.now();
         let rate = self.rate.per_second(now);
-        self.status.send_replace(status(&self.admission, &self.run_id, phase, &self.last, rate, now));
+        self.channels.status.send_replace(status(
+            &self.admission,
+            &self.run_id,
+            phase,
+            &self.last,
+            rate,
+            now,
+        ));
     }
 }

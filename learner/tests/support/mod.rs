@@ -1,6 +1,7 @@
 //! A learner in this process, and an actor whose street network is arithmetic instead of SUMO: same protocol, same policy.
 
 #![allow(dead_code, reason = "each test program uses its part")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests fail by panicking, in their helpers too")]
 
 use cross_config::Config;
 use cross_learner::{Ending, Learner, Setup, find_checkpoint};
