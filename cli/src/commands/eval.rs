@@ -63,7 +63,7 @@ impl Eval {
         let home = self.sumo.locate()?;
         let workers = self.workers.map_or_else(default_workers, usize::from);
         let task = Task { scenario: &scenario, env: &env, policy: &policy };
-        let progress = EpisodeProgress::new(true);
+        let progress = EpisodeProgress::new(true, self.seeds as usize);
         let reports = evaluate_all(&home, &[task], &seeds(self.seeds), workers, &|episodes| {
             progress.show(episodes);
             ControlFlow::Continue(())

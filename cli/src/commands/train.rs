@@ -94,7 +94,7 @@ impl Train {
             resume: self.resume,
             sumo_home: ready.sumo.path().to_owned(),
         };
-        let mut progress = Progress::new(!self.no_progress);
+        let mut progress = Progress::new(!self.no_progress, config.updates);
         let trained = run::run(&run, &plan, &watch, &mut progress)?;
         let mut summary = Summary::new(&run, &config, trained.interrupted);
         if trained.killed {
@@ -108,7 +108,7 @@ impl Train {
             if !self.no_progress {
                 say(&format!("evaluating over {} seeds", self.eval_seeds));
             }
-            summary.evaluate(&ready, &config, self.eval_seeds, &watch)?;
+            summary.evaluate(&ready, &config, self.eval_seeds, &watch, !self.no_progress)?;
         }
         summary.elapsed_seconds = started.elapsed().as_secs_f64();
         let document = summary.write(&run)?;

@@ -84,6 +84,7 @@ impl Summary {
         config: &Config,
         count: u32,
         watch: &Watch,
+        visible: bool,
     ) -> Outcome<()> {
         let Some(checkpoint) = &self.checkpoint else {
             return Err(Failure::failed(format!(
@@ -103,7 +104,7 @@ impl Summary {
                 policies.iter().map(move |policy| Task { scenario, env: &config.env, policy })
             })
             .collect();
-        let progress = EpisodeProgress::new(true);
+        let progress = EpisodeProgress::new(visible, tasks.len() * count as usize);
         let result = evaluate_all(&ready.sumo, &tasks, &seeds(count), default_workers(), &|episodes| {
             progress.show(episodes);
             if watch.wait(Duration::ZERO).1 > 0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }

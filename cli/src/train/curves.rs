@@ -23,6 +23,9 @@ const COLOURS: [RGBColor; 7] = [
 /// Named curves of one panel: points (update, value).
 type Curves = BTreeMap<String, Vec<(f64, f64)>>;
 
+/// Title, place of the legend, curves.
+type Panel = (&'static str, SeriesLabelPosition, Curves);
+
 /// Draws `metrics` (a run's `metrics.jsonl`) into the SVG file `picture`.
 ///
 /// # Errors
@@ -31,12 +34,13 @@ pub(crate) fn draw(metrics: &Path, picture: &Path) -> anyhow::Result<()> {
     let text =
         std::fs::read_to_string(metrics).with_context(|| format!("cannot read {}", metrics.display()))?;
     let [returns, queues, losses] = read(&text);
+    // Legends stand where a run that learns draws nothing: returns rise, queues and losses fall.
     let panels = [
-        ("Return of an episode, mean over the agents", returns),
-        ("Stopped vehicles per incoming lane", queues),
-        ("Losses", losses),
+        ("Return of an episode, mean over the agents", SeriesLabelPosition::LowerRight, returns),
+        ("Stopped vehicles per incoming lane", SeriesLabelPosition::UpperRight, queues),
+        ("Losses", SeriesLabelPosition::UpperRight, losses),
     ];
-    let panels: Vec<_> = panels.into_iter().filter(|(_, curves)| !curves.is_empty()).collect();
+    let panels: Vec<Panel> = panels.into_iter().filter(|(_, _, curves)| !curves.is_empty()).collect();
     if panels.is_empty() {
         return Err(anyhow!("{} holds no update to draw", metrics.display()));
     }
@@ -75,15 +79,15 @@ fn totals(losses: Curves) -> Curves {
     if totals.is_empty() { losses } else { totals }
 }
 
-fn render(panels: &[(&str, Curves)]) -> Result<String, Box<dyn std::error::Error>> {
+fn render(panels: &[Panel]) -> Result<String, Box<dyn std::error::Error>> {
     let mut svg = String::new();
     {
         // There are at most three panels.
         let height = PANEL_HEIGHT * u32::try_from(panels.len())?;
         let root = SVGBackend::with_string(&mut svg, (WIDTH, height)).into_drawing_area();
         root.fill(&WHITE)?;
-        for (area, (title, curves)) in root.split_evenly((panels.len(), 1)).iter().zip(panels) {
-            panel(area, title, curves)?;
+        for (area, (title, legend, curves)) in root.split_evenly((panels.len(), 1)).iter().zip(panels) {
+            panel(area, title, legend.clone(), curves)?;
         }
         root.present()?;
     }
@@ -93,6 +97,7 @@ fn render(panels: &[(&str, Curves)]) -> Result<String, Box<dyn std::error::Error
 fn panel(
     area: &DrawingArea<SVGBackend<'_>, plotters::coord::Shift>,
     title: &str,
+    legend: SeriesLabelPosition,
     curves: &Curves,
 ) -> Result<(), Box<dyn std::error::Error>> {
     let points = || curves.values().flatten();
@@ -105,7 +110,9 @@ fn panel(
     chart
         .configure_mesh()
         .x_desc("update")
-        .x_label_formatter(&|x| format!("{x:.0}"))
+        .y_labels(6)
+        // There is nothing between two updates to label.
+        .x_label_formatter(&|x| if (x - x.round()).abs() < 1e-6 { format!("{x:.0}") } else { String::new() })
         .label_style(("sans-serif", 12))
         .light_line_style(WHITE)
         .draw()?;
@@ -121,7 +128,7 @@ fn panel(
     }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
+        .position(legend)
         .label_font(("sans-serif", 12))
         .background_style(WHITE.mix(0.8))
         .border_style(BLACK.mix(0.2))

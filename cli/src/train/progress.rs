@@ -29,14 +29,14 @@ enum Display {
 }
 
 impl Display {
-    fn new(wanted: bool, template: &str) -> Self {
+    fn new(wanted: bool, template: &str, length: u64) -> Self {
         if !wanted {
             return Self::Silent;
         }
         if !std::io::stderr().is_terminal() {
             return Self::Lines { last: None };
         }
-        let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
+        let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
         // The templates are constants; an unusable one would fall back to the default.
         if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style);
@@ -47,8 +47,8 @@ impl Display {
 }
 
 impl Progress {
-    pub(crate) fn new(wanted: bool) -> Self {
-        let display = Display::new(wanted, "{wide_bar:.green} {pos}/{len} updates\n{msg}");
+    pub(crate) fn new(wanted: bool, updates: u64) -> Self {
+        let display = Display::new(wanted, "{wide_bar:.green} {pos}/{len} updates\n{msg}", updates);
         Self { display, started: Instant::now(), first_updates: None }
     }
 
@@ -100,9 +100,9 @@ pub(crate) struct EpisodeProgress {
 }
 
 impl EpisodeProgress {
-    pub(crate) fn new(wanted: bool) -> Self {
+    pub(crate) fn new(wanted: bool, episodes: usize) -> Self {
         let template = "{wide_bar:.green} {pos}/{len} episodes evaluated";
-        Self { display: Mutex::new(Display::new(wanted, template)) }
+        Self { display: Mutex::new(Display::new(wanted, template, episodes as u64)) }
     }
 
     /// Called after every decision of every episode, so it does little.
@@ -111,7 +111,6 @@ impl EpisodeProgress {
         let Ok(mut display) = self.display.try_lock() else { return };
         match &mut *display {
             Display::Live(bar) => {
-                bar.set_length(episodes.all as u64);
                 bar.set_position(episodes.finished as u64);
             }
             Display::Lines { last } => {
@@ -187,7 +186,8 @@ fn live_text(status: &TrainingStatus, alive: usize, elapsed: Duration, left: Opt
 }
 
 fn scenario_text(scenario: &cross_proto::v1::ScenarioStatus) -> String {
-    if scenario.episodes == 0 {
+    // A finished episode is counted a moment before its figures are there, and no real episode has a return of 0.
+    if scenario.episodes == 0 || (scenario.episode_return == 0.0 && scenario.queue_length == 0.0) {
         return format!("{}: first episodes under way", scenario.name);
     }
     format!(
