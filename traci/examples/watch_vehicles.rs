@@ -1,4 +1,4 @@
-//! Sees every vehicle of a network every ten seconds, through one context subscription.
+//! Sees every vehicle of a network every ten seconds, one message for the seconds and one for the vehicles.
 //!
 //! ```text
 //! cargo run --release -p cross-traci --example watch_vehicles -- grid4x4.net.xml grid4x4_1.rou.xml
@@ -31,15 +31,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let client = sumo.client();
     let anywhere = client.ids(Domain::Junction)?.into_iter().next().ok_or("the network has no junction")?;
     let wanted = [vehicle::LANE_ID, vehicle::LANE_POSITION, vehicle::SPEED];
-    client.subscribe_context(Domain::Junction, &anywhere, 1e9, Domain::Vehicle, &wanted)?;
 
     let (mut time, mut seen) = (client.time()?, 0u64);
     let mut out = std::io::stdout();
     while time < end {
         time += period;
-        let results = client.simulation_step(time)?;
+        client.simulation_step(time)?;
+        let vehicles = client.look_around(Domain::Junction, &anywhere, 1e9, Domain::Vehicle, &wanted)?;
         let (mut stopped, mut running) = (0, 0);
-        for vehicle in results.iter().flat_map(|subscription| subscription.objects()) {
+        for vehicle in vehicles.objects() {
             running += 1;
             if vehicle
                 .get(vehicle::SPEED)

@@ -1,12 +1,13 @@
 //! Several commands in one message, answered in one.
 
+use crate::argument::Argument;
 use crate::client::Client;
 use crate::codec::{DecodeError, Reader, Writer};
 use crate::constants::{Domain, INVALID_DOUBLE, traffic_light};
 use crate::error::TraciError;
 use crate::reply::{Answer, describe};
 use crate::subscription::Subscription;
-use crate::value::{Argument, Value, read_last_value};
+use crate::value::{Value, read_last_value};
 
 /// Commands that go out together. Made by [`Client::batch`], ended by [`send`](Self::send); dropped, nothing is sent.
 ///

@@ -1,5 +1,6 @@
 //! The client: typed calls, one message each, a deadline on every one.
 
+use crate::argument::Argument;
 use crate::batch::{Batch, Replies};
 use crate::codec::{DecodeError, Reader, Writer};
 use crate::connection::{Connection, Fault};
@@ -8,7 +9,6 @@ use crate::error::{ErrorKind, Evidence, TraciError};
 use crate::reply::{self, Answer, describe, describe_message};
 use crate::subscription::{Subscription, SubscriptionResults};
 use crate::sumo::Process;
-use crate::value::Argument;
 use std::io::ErrorKind as IoErrorKind;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -227,7 +227,10 @@ impl Client {
     }
 
     /// Subscribes to variables of all objects of the domain `of` within `range` metres of one object, and gives their
-    /// values as of now. One subscription with a range larger than the network is the cheapest way to see every vehicle.
+    /// values as of now. With a range larger than the network that is every object.
+    ///
+    /// SUMO works the values out after every simulated second, also within a step of many, though it sends only the
+    /// last. To look only now and then, [`look_around`](Self::look_around) costs far less.
     ///
     /// # Errors
     /// As [`set`](Self::set).
@@ -241,6 +244,28 @@ impl Client {
     ) -> Result<Subscription<'_>, TraciError> {
         let mut batch = self.batch();
         batch.subscribe_context(domain, object, range, of, variables);
+        batch.send()?.subscription(0)
+    }
+
+    /// Reads variables of all objects of the domain `of` within `range` metres of one object, once: a context
+    /// subscription that ends in the message that makes it. It also ends every other context subscription around that
+    /// object.
+    ///
+    /// This is the cheapest way to see every vehicle every few seconds: one round trip, and nothing in between.
+    ///
+    /// # Errors
+    /// As [`set`](Self::set).
+    pub fn look_around(
+        &mut self,
+        domain: Domain,
+        object: &str,
+        range: f64,
+        of: Domain,
+        variables: &[u8],
+    ) -> Result<Subscription<'_>, TraciError> {
+        let mut batch = self.batch();
+        batch.subscribe_context(domain, object, range, of, variables);
+        batch.subscribe_context(domain, object, range, of, &[]);
         batch.send()?.subscription(0)
     }
 

@@ -7,12 +7,12 @@
 //!   Sumo::start ── locate ─> spawn ─> port ─> listening ─> handshake          sumo/*, client
 //!        │
 //!        │   commands                            one message, one deadline
-//!   Client, Batch ────── codec, value ──────> connection ═══ TCP ═══> SUMO (child process)
-//!        │                                        ║                      │  stderr, exit code
+//!   Client, Batch ──── codec, argument ─────> connection ═══ TCP ═══> SUMO (child process)
+//!        │                                        │                      │  stderr, exit code
 //!        │   borrowed values                      ▼                      ▼
-//!   Replies, SubscriptionResults <── reply, subscription        sumo::output, sumo::process
+//!   Replies, Subscription <──── reply, subscription, value      sumo::output, sumo::process
 //!        │                                        │                      │
-//!        └────────────> TraciError: SUMO's own words, its last lines, its end, the last command
+//!        └──── TraciError: SUMO's own words, its last lines, its end, the last command
 //! ```
 //!
 //! # Use
@@ -27,17 +27,17 @@
 //! let mut sumo = Sumo::start(&home, &command, Duration::from_secs(30))?;
 //! let client = sumo.client();
 //!
-//! // Every vehicle, however far from junction J0.
-//! let wanted = [vehicle::LANE_ID, vehicle::SPEED];
-//! client.subscribe_context(Domain::Junction, "J0", 1e9, Domain::Vehicle, &wanted)?;
 //! for decision in 1..=360 {
 //!     // All lights in one message.
 //!     let mut batch = client.batch();
 //!     batch.set_traffic_light_state("J0", "GGrr").set_traffic_light_state("J1", "rrGG");
 //!     batch.send()?;
-//!     // Ten seconds in one message; what is subscribed comes back with it.
-//!     let results = client.simulation_step(10.0 * f64::from(decision))?;
-//!     for vehicle in results.iter().flat_map(|subscription| subscription.objects()) {
+//!     // Ten seconds in one message.
+//!     client.simulation_step(10.0 * f64::from(decision))?;
+//!     // Every vehicle, however far from J0, in one message.
+//!     let wanted = [vehicle::LANE_ID, vehicle::SPEED];
+//!     let seen = client.look_around(Domain::Junction, "J0", 1e9, Domain::Vehicle, &wanted)?;
+//!     for vehicle in seen.objects() {
 //!         for (variable, value) in vehicle.values() {
 //!             println!("{} 0x{variable:02x} {value:?}", vehicle.id());
 //!         }
@@ -50,10 +50,11 @@
 //!
 //! # Speed
 //! A round trip costs more than any value in it, so the crate is built around few messages:
-//! - [`Client::simulation_step`] goes any number of seconds at once. SUMO evaluates subscriptions once per command, not
-//!   once per simulated second.
-//! - One context subscription with a range larger than the network brings every vehicle, and is several times cheaper
-//!   than subscriptions to all lanes or one call per value.
+//! - [`Client::simulation_step`] goes any number of seconds at once.
+//! - [`Client::look_around`] with a range larger than the network brings every vehicle in one message. Subscriptions
+//!   bring the same with each step, but SUMO works them out after every simulated second, however many of them one
+//!   step covers: on a grid of sixteen lights a standing one for all vehicles makes SUMO half as busy again, and one
+//!   for all lanes nearly twice as busy. They pay where every second is looked at.
 //! - [`Client::batch`] sends any number of commands in one message.
 //! - Results are read where they were received. Buffers are kept: steady traffic allocates nothing (there is a test).
 //!
@@ -71,6 +72,7 @@
 //!
 //! Calls block. Keep them on a thread of their own, away from an async runtime's workers.
 
+pub mod argument;
 pub mod batch;
 pub mod client;
 pub mod codec;
@@ -83,6 +85,7 @@ pub mod subscription;
 pub mod sumo;
 pub mod value;
 
+pub use argument::Argument;
 pub use batch::{Batch, Replies, Reply};
 pub use client::{Client, Statistics};
 pub use codec::DecodeError;
@@ -91,4 +94,4 @@ pub use error::{ErrorKind, Evidence, TraciError};
 pub use read::SimulationState;
 pub use subscription::{Object, Objects, Subscription, SubscriptionResults};
 pub use sumo::{ExitReport, LocateError, Origin, Sumo, SumoCommand, SumoHome};
-pub use value::{Argument, Compound, DoubleList, Polygon, StrList, Value};
+pub use value::{Compound, DoubleList, Polygon, StrList, Value};

@@ -1,10 +1,11 @@
 //! Reading: one variable a message, and what is asked for most often.
 
+use crate::argument::Argument;
 use crate::client::Client;
 use crate::codec::DecodeError;
 use crate::constants::{Domain, any, simulation};
 use crate::error::TraciError;
-use crate::value::{Argument, Value};
+use crate::value::Value;
 
 /// What the simulation as a whole looks like, read in one message by [`Client::simulation_state`]. Counts of events
 /// cover everything since the `simulationStep` before the last, all seconds of a long one included.

@@ -230,9 +230,9 @@ pub(crate) fn describe_message(sent: &[u8], starts: &[usize]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::argument::Argument;
     use crate::codec::Writer;
     use crate::constants::{traffic_light, vehicle};
-    use crate::value::Argument;
     use proptest::prelude::*;
 
     /// A message of one command, as it would be sent, without the length in front.

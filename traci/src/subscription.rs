@@ -229,9 +229,9 @@ fn read_variable<'a>(reader: &mut Reader<'a>) -> Result<(u8, Value<'a>), DecodeE
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::argument::Argument;
     use crate::codec::Writer;
     use crate::constants::vehicle;
-    use crate::value::Argument;
     use proptest::prelude::*;
 
     fn context_block(vehicles: &[(String, String, f64)]) -> Vec<u8> {

@@ -92,6 +92,22 @@ fn a_context_subscription_equals_reading_every_vehicle() {
 }
 
 #[test]
+fn looking_around_once_sees_what_a_subscription_sees_and_leaves_none_behind() {
+    let (mut once, mut standing) = (start(), start());
+    subscribe_all(&mut standing);
+    for to in [100.0, 200.0, 300.0] {
+        assert!(once.client().simulation_step(to).unwrap().is_empty());
+        let seen = once.client().look_around(Domain::Junction, "A0", 1e7, Domain::Vehicle, &WANTED).unwrap();
+        let seen: Vec<String> = seen.objects().map(|object| format!("{object:?}")).collect();
+        let results = standing.client().simulation_step(to).unwrap();
+        let context = results.find_context(Domain::Junction, "A0", Domain::Vehicle).unwrap();
+        let subscribed: Vec<String> = context.objects().map(|object| format!("{object:?}")).collect();
+        assert!(!seen.is_empty());
+        assert_eq!(seen, subscribed, "at {to} s");
+    }
+}
+
+#[test]
 fn a_subscription_brings_its_values_at_once_with_each_step_and_no_more_when_ended() {
     let mut sumo = start();
     let client = sumo.client();
