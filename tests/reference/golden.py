@@ -338,8 +338,9 @@ class Network:
             attended = self.attention(h_p @ w_q, token @ w_k, value, one)
         else:
             query = self.linear("gfe.attention.query", self.norm("gfe.attention.norm", h_p))
-            keys = torch.cat([self.linear("gfe.attention.lane_key", x["lanes"]), self.linear("gfe.attention.state_key", token)], 2)
-            values = torch.cat([self.linear("gfe.attention.lane_value", x["lanes"]), value], 2)
+            lane = lambda part: self.linear(f"gfe.attention.lane_{part}", x["lanes"])
+            keys = torch.cat([lane("key"), self.linear("gfe.attention.state_key", token)], 2)
+            values = torch.cat([lane("value"), value], 2)
             attended = self.attention(query, keys, values, torch.cat([x["lane_mask"], one], 2))
         return h_p + self.linear("gfe.output", attended), states
 
@@ -410,7 +411,8 @@ def auxiliary(config, out, x, target):
     """Terms of IV-B and IV-C, by name."""
     terms, model, mask = {}, config["model"], x["phase_mask"]
     if model["pcc"]:
-        chosen = out["predicted"].gather(2, target["actions"][:, :, None, None].expand(-1, -1, 1, out["predicted"].shape[-1]))[:, :, 0]
+        taken = target["actions"][..., None, None].expand(-1, -1, 1, out["predicted"].shape[-1])
+        chosen = out["predicted"].gather(2, taken)[:, :, 0]
         real = target["has_next"][..., None].expand_as(chosen).clone()
         if model["gfe"] == "paper":
             real &= x["movement_mask"].repeat_interleave(5, dim=-1)
