@@ -47,7 +47,7 @@ impl Default for Config {
         Self {
             seed: 1,
             scenarios: vec!["grid4x4".to_owned()],
-            updates: 50,
+            updates: 60,
             env: EnvConfig::default(),
             model: ModelConfig::default(),
             ppo: PpoConfig::default(),

@@ -30,7 +30,7 @@ pub enum EntropySchedule {
 pub struct PpoConfig {
     /// Steps (decisions of every agent) collected of each scenario for one update.
     pub round_steps: u32,
-    /// Passes over a round's data.
+    /// Passes over a round's data (paper: 6). Simulating is cheaper than learning here, so fresh data beats used data.
     pub epochs: u32,
     /// Length of a training sequence in steps; the recurrent state at its start is recomputed, never zero mid-episode.
     pub sequence_steps: u32,
@@ -60,7 +60,8 @@ pub struct PpoConfig {
     pub prediction: f64,
     /// Weight of the clustering loss.
     pub clustering: f64,
-    /// Weight of the diversity term inside the clustering loss.
+    /// Weight of the diversity term inside the clustering loss. At 1 the contrastive term, which can fall by log K, wins
+    /// and all rows end in one cluster.
     pub diversity: f64,
     /// Weight of the experts' load balancing.
     pub load_balance: f64,
@@ -78,11 +79,11 @@ impl Default for PpoConfig {
     fn default() -> Self {
         Self {
             round_steps: 720,
-            epochs: 2,
+            epochs: 1,
             sequence_steps: 30,
             minibatch_decisions: 1440,
-            actor_lr: 5e-4,
-            critic_lr: 5e-4,
+            actor_lr: 7e-4,
+            critic_lr: 7e-4,
             lr_decay: true,
             max_grad_norm: 10.0,
             clip_ratio: 0.2,
@@ -93,7 +94,7 @@ impl Default for PpoConfig {
             value: 0.5,
             prediction: 0.05,
             clustering: 0.1,
-            diversity: 1.0,
+            diversity: 4.0,
             load_balance: 0.001,
             selection_entropy: 0.0001,
             normalise_advantages: true,
