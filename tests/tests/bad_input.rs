@@ -170,4 +170,7 @@ fn a_checkpoint_of_another_model_is_not_resumed_from() {
     let finished = run.finish(&["--resume", "--config", &config, "--updates", "2", "--eval-seeds", "0"]);
     finished.assert_refused(&["model"]);
     assert_none_left(&run.marker());
+    // The refusal has not touched the run.
+    let resumed = run.finish(&["--resume", "--updates", "2", "--eval-seeds", "0"]).json();
+    assert_eq!(resumed["updates"], 2);
 }

@@ -55,6 +55,17 @@ fn after_a_second_ctrl_c_nothing_is_left() {
 }
 
 #[test]
+fn after_sigkill_of_an_evaluation_nothing_is_left() {
+    let run = Run::new();
+    let mut evaluation =
+        run.spawn(run.cross(&["eval", "--scenario", "grid4x4", "--policy", "random", "--seeds", "50"]));
+    let _ = evaluation.wait_for("sumo");
+    evaluation.send(Signal::KILL);
+    assert_eq!(evaluation.wait().code, None);
+    assert_none_left(&run.marker());
+}
+
+#[test]
 fn a_run_directory_serves_one_run_at_a_time() {
     let run = Run::new();
     let training = whole_run(&run);

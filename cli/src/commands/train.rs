@@ -78,7 +78,11 @@ impl Train {
         let actors = self.actors(&config)?;
         let ready = preflight::check(&config, self.sumo.locate()?)?;
         let run = match existing {
-            Some(run) => run,
+            Some(run) => {
+                // The learner checks the same, but by then the run's configuration is overwritten.
+                cross_learner::find_checkpoint(run.path(), &config).or_bad_input()?;
+                run
+            }
             None => RunDir::create(self.run.as_deref())?,
         };
         run_dir::write_atomically(&run.config(), config.to_toml().as_bytes())?;
