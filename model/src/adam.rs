@@ -42,11 +42,10 @@ impl Adam {
             let size = lr / (1.0 - BETA1.powi(t));
             let root = (1.0 - BETA2.powi(t)).sqrt();
             for ((param, m), v) in params.tensors().zip(&mut self.m).zip(&mut self.v) {
+                // An expert that no row chose has a gradient of zero, whether it ever ran in this process or not: else a
+                // resumed run, where it has not, would leave moments alone that the first run lets decay.
                 let grad = param.grad();
-                if !grad.defined() {
-                    continue;
-                }
-                let grad = grad * cut;
+                let grad = if grad.defined() { grad * cut } else { param.zeros_like() };
                 let _ = m.lerp_(&grad, 1.0 - BETA1);
                 let _ = v.g_mul_scalar_(BETA2);
                 let _ = v.g_add_(&(&grad * &grad * (1.0 - BETA2)));
@@ -104,6 +103,35 @@ mod tests {
             value -= 0.1 * (m / (1.0 - 0.9f64.powi(t))) / ((v / (1.0 - 0.999f64.powi(t))).sqrt() + 1e-8);
             assert!((x.double_value(&[0]) - value).abs() < 1e-5);
         }
+    }
+
+    #[test]
+    fn a_parameter_without_a_gradient_goes_on_as_with_a_zero_one() {
+        let step_twice = |idle_in_new_process: bool| {
+            let mut params = Params::new();
+            let mut rng = ChaCha8Rng::seed_from_u64(0);
+            let mut init = Init::new("t", &mut params, &mut rng);
+            let (busy, idle) = (init.constant("busy", &[1], 1.0), init.constant("idle", &[1], 1.0));
+            let mut adam = Adam::new(&params);
+            if idle_in_new_process {
+                // Moments from a checkpoint, and no gradient yet.
+                tch::no_grad(|| adam.m[1].fill_(0.2));
+                tch::no_grad(|| adam.v[1].fill_(0.004));
+                adam.t = 1;
+                (&busy * 1.0).sum(Kind::Float).backward();
+            } else {
+                (&busy * 1.0 + &idle * 1.0).sum(Kind::Float).backward();
+                zero_gradients(&params);
+                tch::no_grad(|| adam.m[1].fill_(0.2));
+                tch::no_grad(|| adam.v[1].fill_(0.004));
+                adam.t = 1;
+            }
+            adam.step(&params, 0.1, 1e9);
+            (idle.double_value(&[0]), adam.m[1].double_value(&[0]))
+        };
+        let (first_run, resumed) = (step_twice(false), step_twice(true));
+        assert_eq!(first_run, resumed);
+        assert!(first_run.0 < 1.0 && first_run.1 < 0.2, "it moves on its momentum, which decays");
     }
 
     #[test]
