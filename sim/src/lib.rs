@@ -10,6 +10,8 @@ pub mod controller;
 pub mod env;
 pub mod error;
 pub mod evaluate;
+pub mod generate;
+pub mod import;
 pub mod lanes;
 pub mod layout;
 pub mod metrics;

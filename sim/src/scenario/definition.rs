@@ -1,5 +1,6 @@
 //! The text of a `scenario.toml`.
 
+use crate::generate::GridOptions;
 use serde::{Deserialize, Serialize};
 
 /// What a `scenario.toml` may say; unknown keys are refused.
@@ -11,7 +12,9 @@ pub(super) struct Definition {
     pub(super) description: String,
     #[serde(default)]
     pub(super) source: String,
-    pub(super) net: String,
+    #[serde(default)]
+    pub(super) net: Option<String>,
+    #[serde(default)]
     pub(super) routes: Vec<String>,
     #[serde(default)]
     pub(super) additional: Vec<String>,
@@ -22,6 +25,43 @@ pub(super) struct Definition {
     pub(super) sumo: SumoOptions,
     #[serde(default)]
     pub(super) reference: Reference,
+    /// What to build net and routes from, instead of naming them.
+    pub(super) generate: Option<Generate>,
+    /// Which files of the user's the net and routes were imported from.
+    pub(super) import: Option<Import>,
+    /// What net and demand must hash to.
+    #[serde(default)]
+    pub(super) pin: Pin,
+}
+
+/// A net and a demand that are built here.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Generate {
+    pub(super) grid: GridOptions,
+}
+
+/// Files in another simulator's format that only the user has.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Import {
+    /// Names of CityFlow's two files, as their publishers call them.
+    pub(super) cityflow: CityFlowFiles,
+}
+
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CityFlowFiles {
+    pub(super) roadnet: String,
+    pub(super) flow: String,
+}
+
+/// Hashes that the files must have; published figures hold for these alone.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct Pin {
+    pub(super) net: Option<String>,
+    pub(super) demand: Option<String>,
 }
 
 /// SUMO options on which published numbers depend.

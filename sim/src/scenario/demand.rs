@@ -1,4 +1,4 @@
-//! Counting the vehicles of route files.
+//! Reading the departures that route files define.
 
 use super::ScenarioError;
 use flate2::bufread::MultiGzDecoder;
@@ -7,25 +7,79 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
-pub(super) fn vehicles(routes: &[PathBuf], begin: f64, end: f64) -> Result<u64, ScenarioError> {
-    let mut total = 0.0;
+/// Something in a route file that makes vehicles depart.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Departures {
+    /// One vehicle at a time in seconds; none for one that waits for something else.
+    Single(Option<f64>),
+    /// Vehicles at even distances in time, from the first at `from` on, all before `until`.
+    Even {
+        /// Seconds.
+        from: f64,
+        /// Seconds.
+        until: f64,
+        /// Seconds between two of them.
+        period: f64,
+    },
+    /// Vehicles at random.
+    Random {
+        /// Seconds.
+        from: f64,
+        /// Seconds.
+        until: f64,
+        /// On average.
+        per_second: f64,
+    },
+}
+
+/// Calls `visit` for every element that makes vehicles depart, in the order of the files. What a flow does not say about
+/// its beginning and end is taken from `begin` and `end`.
+pub(super) fn read(
+    routes: &[PathBuf],
+    begin: f64,
+    end: f64,
+    visit: &mut dyn FnMut(Departures),
+) -> Result<(), ScenarioError> {
     for path in routes {
         let unreadable = |source| ScenarioError::Read { path: path.clone(), source };
         let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
-        total += if file.fill_buf().map_err(unreadable)?.starts_with(&[0x1f, 0x8b]) {
-            count(BufReader::new(MultiGzDecoder::new(file)), path, begin, end)?
+        if file.fill_buf().map_err(unreadable)?.starts_with(&[0x1f, 0x8b]) {
+            read_text(BufReader::new(MultiGzDecoder::new(file)), path, (begin, end), visit)?;
         } else {
-            count(file, path, begin, end)?
-        };
+            read_text(file, path, (begin, end), visit)?;
+        }
     }
+    Ok(())
+}
+
+/// Vehicles from `begin` on: single ones, plus what flows send on average until `end`.
+pub(super) fn vehicles(routes: &[PathBuf], begin: f64, end: f64) -> Result<u64, ScenarioError> {
+    let mut total = 0.0;
+    read(routes, begin, end, &mut |departures| {
+        total += match departures {
+            // SUMO discards what should have departed before the simulation begins.
+            Departures::Single(depart) => f64::from(u8::from(depart.is_none_or(|depart| depart >= begin))),
+            Departures::Even { from, until, period } => {
+                // A flow that says how many it sends sends them all, at whatever time it begins.
+                (until.min(end) - from.max(begin)).max(0.0) / period
+            }
+            Departures::Random { from, until, per_second } => {
+                (until.min(end) - from.max(begin)).max(0.0) * per_second
+            }
+        };
+    })?;
     // Not negative, and far below 2^53.
     Ok(total.round() as u64)
 }
 
-fn count(text: impl BufRead, path: &Path, begin: f64, end: f64) -> Result<f64, ScenarioError> {
+fn read_text(
+    text: impl BufRead,
+    path: &Path,
+    times: (f64, f64),
+    visit: &mut dyn FnMut(Departures),
+) -> Result<(), ScenarioError> {
     let mut xml = quick_xml::Reader::from_reader(text);
     let mut buffer = Vec::new();
-    let mut total = 0.0;
     loop {
         buffer.clear();
         let event = xml.read_event_into(&mut buffer).map_err(|error| ScenarioError::Read {
@@ -34,34 +88,38 @@ fn count(text: impl BufRead, path: &Path, begin: f64, end: f64) -> Result<f64, S
         })?;
         match event {
             Event::Start(element) | Event::Empty(element) => match element.name().as_ref() {
-                "vehicle" | "trip" if departs_in_time(&element, begin) => total += 1.0,
-                "flow" => total += flow(&element, begin, end),
+                "vehicle" | "trip" => visit(Departures::Single(number(&element, "depart"))),
+                "flow" => flow(&element, times).map_or((), &mut *visit),
                 _ => {}
             },
-            Event::Eof => return Ok(total),
+            Event::Eof => return Ok(()),
             _ => {}
         }
     }
 }
 
-/// SUMO discards what should have departed before the simulation begins.
-fn departs_in_time(element: &BytesStart<'_>, begin: f64) -> bool {
-    number(element, "depart").is_none_or(|depart| depart >= begin)
-}
-
-fn flow(element: &BytesStart<'_>, begin: f64, end: f64) -> f64 {
+fn flow(element: &BytesStart<'_>, (begin, end): (f64, f64)) -> Option<Departures> {
+    let from = number(element, "begin").unwrap_or(begin);
+    let until = number(element, "end").unwrap_or(end);
+    let even = |period: f64| {
+        (period > 0.0 && period.is_finite()).then_some(Departures::Even { from, until, period })
+    };
     if let Some(number) = number(element, "number") {
-        return number;
+        return even((until - from) / number);
     }
-    let from = number(element, "begin").unwrap_or(begin).max(begin);
-    let until = number(element, "end").unwrap_or(end).min(end);
-    let per_second = number(element, "vehsPerHour")
-        .or_else(|| number(element, "perHour"))
-        .map(|rate| rate / 3600.0)
-        .or_else(|| number(element, "period").filter(|period| *period > 0.0).map(|period| 1.0 / period))
-        .or_else(|| number(element, "probability"))
-        .unwrap_or(0.0);
-    (per_second * (until - from)).max(0.0)
+    if let Some(rate) = number(element, "vehsPerHour").or_else(|| number(element, "perHour")) {
+        return even(3600.0 / rate);
+    }
+    if let Some(period) = number(element, "period") {
+        return even(period);
+    }
+    // `period="exp(0.5)"`: exponentially distributed pauses, so many vehicles a second.
+    let exponential = || {
+        let period = element.try_get_attribute("period").ok()??;
+        period.value.trim().strip_prefix("exp(")?.strip_suffix(')')?.trim().parse::<f64>().ok()
+    };
+    let per_second = number(element, "probability").or_else(exponential)?;
+    (per_second.is_finite() && per_second > 0.0).then_some(Departures::Random { from, until, per_second })
 }
 
 fn number(element: &BytesStart<'_>, key: &str) -> Option<f64> {

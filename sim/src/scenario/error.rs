@@ -40,6 +40,33 @@ pub enum ScenarioError {
         /// The file, as written or as resolved.
         file: String,
         /// What to do.
+        remedy: String,
+    },
+    /// A file is not the one that the definition pins.
+    #[error(
+        "the {what} of scenario {scenario:?}, {files}, has the hash {found} instead of {expected}; {remedy}, or take the \
+         [pin] out of its scenario.toml and compare with no published figures"
+    )]
+    Pinned {
+        /// Name of the scenario.
+        scenario: String,
+        /// `net` or `demand`.
+        what: &'static str,
+        /// Where it was read from.
+        files: String,
+        /// Hash in the definition.
+        expected: String,
+        /// Hash of the files.
+        found: String,
+        /// What to do.
         remedy: &'static str,
+    },
+    /// Net and demand cannot be built.
+    #[error("cannot build scenario {scenario:?}: {source}")]
+    Generate {
+        /// Name of the scenario.
+        scenario: String,
+        /// Why.
+        source: Box<crate::generate::GenerateError>,
     },
 }

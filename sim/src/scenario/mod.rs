@@ -1,18 +1,21 @@
 //! Scenarios: a net, its demand, a time of day, and the SUMO options its numbers depend on.
 //!
 //! A scenario is a directory with a `scenario.toml`. Paths in it are relative to that directory, or begin with `@deps/` for
-//! files that the set-up fetched into `.deps`.
+//! files that the set-up fetched into `.deps`. Instead of files it may hold a `[generate]` table, from which they are built on
+//! first use. A `[pin]` says what net and demand must hash to.
 
+mod arrivals;
 mod definition;
 mod demand;
 mod error;
 mod search;
 
+pub use arrivals::Arrivals;
 pub use definition::{Reference, ReferenceMaxPressure, ReferenceOutgoing, ReferenceRange, SumoOptions};
 pub use error::ScenarioError;
-pub use search::{DEFINITION_FILE, SCENARIOS_VARIABLE, ScenarioEntry, ScenarioPath};
+pub use search::{DEFINITION_FILE, SCENARIOS_VARIABLE, ScenarioEntry, ScenarioPath, place_for};
 
-use definition::Definition;
+use definition::{Definition, Import, Pin};
 use sha2::{Digest, Sha256};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -75,20 +78,34 @@ impl Scenario {
                 wrong("the directory has no name to call the scenario by; add name = \"...\"".into())
             })?,
         };
-        if definition.routes.is_empty() {
-            return Err(wrong("routes is empty; name at least one route file".to_owned()));
-        }
         if definition.end <= definition.begin {
             return Err(wrong(format!(
                 "end is {}, which is not after begin, {}",
                 definition.end, definition.begin
             )));
         }
-        let resolve = |file: &String| resolve(&name, directory, file);
-        let net = resolve(&definition.net)?;
-        let routes = definition.routes.iter().map(resolve).collect::<Result<Vec<_>, _>>()?;
+        let import = definition.import.as_ref();
+        let resolve = |file: &String| resolve(&name, directory, file, import);
+        let (net, routes) = match (&definition.net, definition.routes.as_slice(), &definition.generate) {
+            (Some(net), routes @ [_, ..], None) => {
+                (resolve(net)?, routes.iter().map(resolve).collect::<Result<Vec<_>, _>>()?)
+            }
+            (None, [], Some(generate)) => {
+                let files = crate::generate::cached(&generate.grid, &search::generated(directory)).map_err(
+                    |source| ScenarioError::Generate { scenario: name.clone(), source: Box::new(source) },
+                )?;
+                (files.net, vec![files.routes])
+            }
+            (_, _, Some(_)) => {
+                return Err(wrong("[generate] makes net and routes; take out either it or them".to_owned()));
+            }
+            (None, _, None) => {
+                return Err(wrong("net is missing; name a net, or add a [generate] table".to_owned()));
+            }
+            (_, [], None) => return Err(wrong("routes is empty; name at least one route file".to_owned())),
+        };
         let additional = definition.additional.iter().map(resolve).collect::<Result<Vec<_>, _>>()?;
-        Ok(Self {
+        let scenario = Self {
             net_hash: hex::encode(file_hash(&net)?),
             demand_hash: demand_hash(routes.iter().chain(&additional))?,
             name,
@@ -102,7 +119,43 @@ impl Scenario {
             end: definition.end,
             sumo: definition.sumo,
             reference: definition.reference,
-        })
+        };
+        scenario.check(&definition.pin, definition.generate.is_some(), import.is_some())?;
+        Ok(scenario)
+    }
+
+    fn check(&self, pin: &Pin, generated: bool, imported: bool) -> Result<(), ScenarioError> {
+        let demand = self.routes.iter().chain(&self.additional).map(|path| path.display().to_string());
+        let demand = demand.collect::<Vec<_>>().join(" and ");
+        for (what, expected, found, files) in [
+            ("net", &pin.net, &self.net_hash, self.net.display().to_string()),
+            ("demand", &pin.demand, &self.demand_hash, demand),
+        ] {
+            let Some(expected) = expected.as_ref().filter(|expected| *expected != found) else { continue };
+            return Err(ScenarioError::Pinned {
+                scenario: self.name.clone(),
+                what,
+                files,
+                expected: expected.clone(),
+                found: found.clone(),
+                remedy: match (generated, imported) {
+                    (true, _) => "remove that folder and build it with the SUMO that `make build` installs",
+                    (_, true) => {
+                        "import it again from the published files, with the SUMO that `make build` installs"
+                    }
+                    _ => "restore the file",
+                },
+            });
+        }
+        Ok(())
+    }
+
+    /// How many vehicles the demand sends in each minute from begin to end.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Read`] for a route file that cannot be read or is not XML.
+    pub fn arrivals(&self) -> Result<Arrivals, ScenarioError> {
+        Arrivals::count(&self.routes, self.begin, self.end)
     }
 
     /// Vehicles that the demand defines, counted in the route files: single vehicles and trips, plus what flows will
@@ -121,25 +174,57 @@ pub fn list() -> Vec<ScenarioEntry> {
     ScenarioPath::locate(None).list()
 }
 
+/// All scenarios that [`Scenario::load`] knows by name, and those that it would know after an import.
+#[must_use]
+pub fn catalogue() -> Vec<ScenarioEntry> {
+    ScenarioPath::locate(None).catalogue()
+}
+
+/// Whether this is the definition of an import whose files are not there.
+fn awaits_import(directory: &Path) -> bool {
+    // A definition that cannot be read is a problem of its own, and is shown as one.
+    let text = std::fs::read_to_string(directory.join(DEFINITION_FILE)).unwrap_or_default();
+    let Ok(definition) = toml::from_str::<Definition>(&text) else { return false };
+    let there = |file: &String| match file.strip_prefix(DEPS_PREFIX) {
+        Some(relative) => search::in_deps(relative).is_some(),
+        None => directory.join(file).is_file(),
+    };
+    definition.import.is_some() && !definition.net.iter().chain(&definition.routes).all(there)
+}
+
 fn directory_name(directory: &Path) -> Option<String> {
     let named = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
     // `.` and `..` have no name of their own; the folder they mean has.
     named(directory).or_else(|| named(&directory.canonicalize().ok()?))
 }
 
-fn resolve(scenario: &str, directory: &Path, file: &str) -> Result<PathBuf, ScenarioError> {
-    let missing =
-        |file: String, remedy| ScenarioError::MissingFile { scenario: scenario.to_owned(), file, remedy };
-    if let Some(relative) = file.strip_prefix(DEPS_PREFIX) {
-        return search::in_deps(relative)
-            .ok_or_else(|| missing(format!(".deps/{relative}"), "run make build, which fetches it"));
-    }
-    let path = directory.join(file);
-    if path.is_file() {
-        Ok(path)
-    } else {
-        Err(missing(path.display().to_string(), "correct its scenario.toml or restore the file"))
-    }
+fn resolve(
+    scenario: &str,
+    directory: &Path,
+    file: &str,
+    import: Option<&Import>,
+) -> Result<PathBuf, ScenarioError> {
+    let in_deps = file.strip_prefix(DEPS_PREFIX);
+    let path = match in_deps {
+        Some(relative) => search::in_deps(relative),
+        None => Some(directory.join(file)).filter(|path| path.is_file()),
+    };
+    path.ok_or_else(|| ScenarioError::MissingFile {
+        scenario: scenario.to_owned(),
+        file: in_deps.map_or_else(
+            || directory.join(file).display().to_string(),
+            |relative| format!(".deps/{relative}"),
+        ),
+        remedy: match (import, in_deps) {
+            (Some(Import { cityflow }), _) => format!(
+                "its data may not be passed on with the project: get {} and {} from their publishers and run `cross scenario \
+                 import cityflow --roadnet {} --flow {} --name {scenario}`",
+                cityflow.roadnet, cityflow.flow, cityflow.roadnet, cityflow.flow
+            ),
+            (None, Some(_)) => "run make build, which fetches it".to_owned(),
+            (None, None) => "correct its scenario.toml or restore the file".to_owned(),
+        },
+    })
 }
 
 fn demand_hash<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Result<String, ScenarioError> {

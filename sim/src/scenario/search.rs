@@ -4,10 +4,16 @@ use super::{Scenario, ScenarioError};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+const DEPS: &str = ".deps";
 /// Name of a scenario's definition inside its directory.
 pub const DEFINITION_FILE: &str = "scenario.toml";
 /// Environment variable with more scenario directories, separated as in `PATH`.
 pub const SCENARIOS_VARIABLE: &str = "CROSS_SCENARIOS";
+
+/// Folder in `.deps` where scenarios go that the user made here and does not keep elsewhere.
+const MADE_HERE: &str = "scenarios";
+/// Folder in `.deps` for files built from `[generate]` tables.
+const GENERATED: &str = "generated";
 
 /// Directories that hold scenarios, in order of preference.
 #[derive(Debug, Clone)]
@@ -26,7 +32,7 @@ pub struct ScenarioEntry {
 
 impl ScenarioPath {
     /// `option` first, then `$CROSS_SCENARIOS`, then a `scenarios` folder beside or above the running program, then one
-    /// beside or above the current directory.
+    /// beside or above the current directory, then what was generated or imported here without saying where to.
     #[must_use]
     pub fn locate(option: Option<&Path>) -> Self {
         let mut roots: Vec<PathBuf> = option.map(Path::to_owned).into_iter().collect();
@@ -34,6 +40,7 @@ impl ScenarioPath {
             roots.extend(std::env::split_paths(&variable).filter(|path| !path.as_os_str().is_empty()));
         }
         roots.extend(ancestors().map(|folder| folder.join("scenarios")));
+        roots.extend(ancestors().map(|folder| folder.join(DEPS).join(MADE_HERE)));
         roots.retain(|root| root.is_dir());
         Self { roots }
     }
@@ -62,9 +69,18 @@ impl ScenarioPath {
         })
     }
 
-    /// Every scenario in these directories, by name; the first directory that has a name wins.
+    /// Every scenario in these directories, by name, but for those whose files the user has not imported yet; the first
+    /// directory that has a name wins.
     #[must_use]
     pub fn list(&self) -> Vec<ScenarioEntry> {
+        let mut entries = self.catalogue();
+        entries.retain(|entry| !super::awaits_import(&entry.directory));
+        entries
+    }
+
+    /// As [`ScenarioPath::list`], with those that await an import.
+    #[must_use]
+    pub fn catalogue(&self) -> Vec<ScenarioEntry> {
         let mut found = BTreeMap::new();
         for root in &self.roots {
             // A folder that vanished since it was located holds no scenarios.
@@ -80,9 +96,25 @@ impl ScenarioPath {
     }
 }
 
+/// Where a scenario of this name goes that is made here: in the nearest `.deps`, or in `scenarios` below the current
+/// directory where there is none.
+#[must_use]
+pub fn place_for(name: &str) -> PathBuf {
+    deps().unwrap_or_default().join(MADE_HERE).join(name)
+}
+
+/// Where files built from a definition in `directory` go: in the nearest `.deps`, or beside the definition.
+pub(super) fn generated(directory: &Path) -> PathBuf {
+    deps().unwrap_or_else(|| directory.to_owned()).join(GENERATED)
+}
+
+fn deps() -> Option<PathBuf> {
+    ancestors().map(|folder| folder.join(DEPS)).find(|path| path.is_dir())
+}
+
 /// The `.deps` file or folder of this relative path, in the nearest `.deps` that has it.
 pub(super) fn in_deps(relative: &str) -> Option<PathBuf> {
-    ancestors().map(|folder| folder.join(".deps").join(relative)).find(|path| path.exists())
+    ancestors().map(|folder| folder.join(DEPS).join(relative)).find(|path| path.exists())
 }
 
 /// Folders above the running program, then the current directory and those above it.

@@ -1,0 +1,3 @@
+//! Scenarios from other simulators' files.
+
+pub mod cityflow;

@@ -1,0 +1,143 @@
+//! Vehicles per minute, as data sets are described.
+
+use super::ScenarioError;
+use super::demand::{self, Departures};
+use std::path::PathBuf;
+
+const MINUTE: f64 = 60.0;
+
+/// How many vehicles a demand sends in each minute.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Arrivals {
+    /// Vehicles in each minute from the beginning to the end, the last one possibly short. A flow at random counts as
+    /// much as it sends on average, an even one vehicle by vehicle.
+    pub per_minute: Vec<f64>,
+    /// Vehicles outside that time, which are never simulated.
+    pub outside: f64,
+    /// Vehicles whose departure has no time, because they wait for something else.
+    pub untimed: u64,
+}
+
+impl Arrivals {
+    pub(super) fn count(routes: &[PathBuf], begin: u32, end: u32) -> Result<Self, ScenarioError> {
+        let (begin, end) = (f64::from(begin), f64::from(end));
+        // An hour or a day: far fewer minutes than memory could not hold.
+        let minutes = ((end - begin) / MINUTE).ceil() as usize;
+        let mut arrivals = Self { per_minute: vec![0.0; minutes], outside: 0.0, untimed: 0 };
+        demand::read(routes, begin, end, &mut |departures| arrivals.add(departures, begin, end))?;
+        Ok(arrivals)
+    }
+
+    fn add(&mut self, departures: Departures, begin: f64, end: f64) {
+        let (first, last, count): (f64, f64, &dyn Fn(f64) -> f64) = match departures {
+            Departures::Single(None) => {
+                self.untimed += 1;
+                return;
+            }
+            // How many have departed before a time.
+            Departures::Single(Some(depart)) => {
+                (depart, depart, &move |time| f64::from(u8::from(depart < time)))
+            }
+            Departures::Even { from, until, period } => {
+                // A vehicle due a rounding error before the end of a minute is due at its end.
+                (from, until, &move |time: f64| ((time.min(until) - from) / period - 1e-9).ceil().max(0.0))
+            }
+            Departures::Random { from, until, per_second } => {
+                (from, until, &move |time: f64| ((time.min(until) - from) * per_second).max(0.0))
+            }
+        };
+        let minute_of = |time: f64| ((time - begin).max(0.0) / MINUTE).floor() as usize;
+        let range = minute_of(first)..self.per_minute.len().min(minute_of(last) + 1);
+        let mut inside = 0.0;
+        for minute in range {
+            let from = begin + minute as f64 * MINUTE;
+            let sent = count((from + MINUTE).min(end)) - count(from);
+            self.per_minute[minute] += sent;
+            inside += sent;
+        }
+        self.outside += count(f64::INFINITY) - inside;
+    }
+
+    /// Vehicles within the time.
+    #[must_use]
+    pub fn volume(&self) -> f64 {
+        self.per_minute.iter().sum()
+    }
+
+    /// Mean of the minutes.
+    #[must_use]
+    pub fn mean(&self) -> f64 {
+        self.volume() / self.per_minute.len().max(1) as f64
+    }
+
+    /// Standard deviation of the minutes, divided by their number, as the data sets' descriptions have it.
+    #[must_use]
+    pub fn std(&self) -> f64 {
+        let mean = self.mean();
+        let squares: f64 = self.per_minute.iter().map(|count| (count - mean).powi(2)).sum();
+        (squares / self.per_minute.len().max(1) as f64).sqrt()
+    }
+
+    /// The busiest minute.
+    #[must_use]
+    pub fn max(&self) -> f64 {
+        self.per_minute.iter().copied().fold(0.0, f64::max)
+    }
+
+    /// The quietest minute.
+    #[must_use]
+    pub fn min(&self) -> f64 {
+        self.per_minute.iter().copied().reduce(f64::min).unwrap_or(0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn arrivals(elements: &str, begin: u32, end: u32) -> Arrivals {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("town.rou.xml");
+        std::fs::write(&path, format!("<routes>{elements}</routes>")).unwrap();
+        Arrivals::count(&[path], begin, end).unwrap()
+    }
+
+    #[test]
+    fn vehicles_fall_into_their_minutes() {
+        let vehicles = ["99.9", "100", "159.99", "160", "219", "220", "triggered"]
+            .map(|depart| format!("<vehicle depart=\"{depart}\"/>"))
+            .concat();
+        let arrivals = arrivals(&vehicles, 100, 220);
+        assert_eq!(arrivals.per_minute, [2.0, 2.0]);
+        assert_eq!((arrivals.outside, arrivals.untimed), (2.0, 1));
+    }
+
+    #[test]
+    fn an_even_flow_sends_whole_vehicles() {
+        // Every 7 s from 10 s: 10, 17, ..., 59 are eight vehicles, 66 is in the next minute.
+        let flow = "<flow begin=\"10\" end=\"70\" period=\"7\"/>";
+        assert_eq!(arrivals(flow, 0, 120).per_minute, [8.0, 1.0]);
+        let flow = "<flow begin=\"0\" end=\"120\" vehsPerHour=\"360\"/>";
+        assert_eq!(arrivals(flow, 0, 120).per_minute, [6.0, 6.0]);
+        let flow = "<flow begin=\"0\" end=\"1\" number=\"6\"/>";
+        assert_eq!(arrivals(flow, 0, 120).per_minute, [6.0, 0.0]);
+    }
+
+    #[test]
+    fn a_random_flow_counts_on_average_and_only_within_the_time() {
+        let flow = "<flow begin=\"30\" end=\"300\" probability=\"0.5\"/>";
+        let arrivals = arrivals(flow, 0, 90);
+        assert_eq!(arrivals.per_minute, [15.0, 15.0]);
+        assert_eq!(arrivals.outside, 105.0);
+    }
+
+    #[test]
+    fn statistics_are_those_of_the_minutes() {
+        let arrivals = Arrivals { per_minute: vec![2.0, 4.0, 9.0], outside: 0.0, untimed: 0 };
+        assert_eq!(
+            (arrivals.volume(), arrivals.mean(), arrivals.max(), arrivals.min()),
+            (15.0, 5.0, 9.0, 2.0)
+        );
+        assert!((arrivals.std() - (26.0_f64 / 3.0).sqrt()).abs() < 1e-12);
+    }
+}
