@@ -126,10 +126,14 @@ impl Network {
         let mut outage = Outage::default();
         let mut heard = Instant::now();
         loop {
-            let mut contact = Contact { heard, progress: false, refused: None };
+            let mut contact = Contact { heard, progress: false, another_session: false, refused: None };
             let after = self.connection(&mut uplink, &mut contact).await;
             self.telemetry.disconnected();
             heard = contact.heard;
+            if contact.another_session {
+                // The outage is over: a learner waits to be joined.
+                backoff.reset();
+            }
             if contact.progress {
                 outage = Outage::default();
                 backoff.reset();
@@ -230,7 +234,11 @@ impl Network {
         let at_least = cross_proto::status::retry_delay(status).unwrap_or_default();
         match cross_proto::status::reason(status) {
             // The lease or the session is over: the next connection joins anew.
-            Some(Reason::NotJoined | Reason::OldSession | Reason::Draining) => self.forget_session(),
+            Some(Reason::NotJoined | Reason::Draining) => self.forget_session(),
+            Some(Reason::OldSession) => {
+                self.forget_session();
+                contact.another_session = true;
+            }
             Some(Reason::InvalidField | Reason::UnexpectedMessage) => {
                 // Sending the same again would be refused again; the episode cannot be continued without it.
                 let dropped = uplink.discard_unacked();
@@ -301,6 +309,8 @@ pub(crate) struct Contact {
     pub(crate) heard: Instant,
     /// True once it took or gave something: then the connection was worth something, and back-off starts over.
     pub(crate) progress: bool,
+    /// True if another learner process than before has answered.
+    pub(crate) another_session: bool,
     /// What it said if it refused a fragment.
     pub(crate) refused: Option<String>,
 }
