@@ -87,6 +87,14 @@ impl Learner {
     /// If the run directory cannot be written or the thread not started.
     pub fn start(setup: Setup, grpc: TcpListener, metrics: TcpListener) -> anyhow::Result<Self> {
         let Setup { config, scenarios, run, run_id, resumed } = setup;
+        let mut names: Vec<&str> = scenarios.iter().map(|(name, _)| name.as_str()).collect();
+        names.sort_unstable();
+        if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+            anyhow::bail!(
+                "two scenarios of this run are called {}; give one another name in its scenario.toml",
+                pair[0]
+            );
+        }
         let sizes: Vec<(String, usize)> =
             scenarios.iter().map(|(name, layout)| (name.clone(), layout.agents())).collect();
         let telemetry = Telemetry::new(&sizes);

@@ -88,6 +88,7 @@ impl Reader {
                 Ok(None) => return Ended::Left,
                 // What cannot be decoded, or is too large, is the actor's fault; everything else the connection's.
                 Err(status) if matches!(status.code(), tonic::Code::Internal | tonic::Code::OutOfRange) => {
+                    let status = unexpected(&format!("a message cannot be read: {}", status.message()));
                     return Ended::Refused { status, scenario: None };
                 }
                 Err(_) => return Ended::Broken,

@@ -68,6 +68,8 @@ impl From<Gone> for Status {
 /// If the server cannot be set up or accepting fails for good.
 pub(crate) async fn serve(shared: Shared, listener: TcpListener) -> anyhow::Result<()> {
     let limit = shared.config.learner.max_message_bytes;
+    // What the learner sends in one message is bounded by itself: a chunk and its frame, however small the limit on actors.
+    let outgoing = limit.max(2 * cross_proto::weights::CHUNK_BYTES);
     let health = HealthReporter::new();
     // A fresh reporter calls the whole server healthy; it is not, until the model stands.
     report(&health, ServingStatus::NotServing).await;
@@ -75,13 +77,13 @@ pub(crate) async fn serve(shared: Shared, listener: TcpListener) -> anyhow::Resu
 
     let learner = LearnerServer::new(learner::LearnerService::new(shared.clone()))
         .max_decoding_message_size(limit)
-        .max_encoding_message_size(limit);
+        .max_encoding_message_size(outgoing);
     let checkpoints = CheckpointsServer::new(checkpoints::CheckpointsService::new(shared.clone()))
         .max_decoding_message_size(limit)
-        .max_encoding_message_size(limit);
+        .max_encoding_message_size(outgoing);
     let training = TrainingServer::new(training::TrainingService::new(shared.clone()))
         .max_decoding_message_size(limit)
-        .max_encoding_message_size(limit);
+        .max_encoding_message_size(outgoing);
     // The two reflection versions have different types, but describe the same.
     let reflection = || {
         tonic_reflection::server::Builder::configure()
