@@ -42,7 +42,7 @@ pub(crate) struct Train {
     /// Actor processes, each with a SUMO of its own [default: one per core, at least 2; 1 with --serial]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     actors: Option<u16>,
-    /// Run directory [default: runs/<date>-<time>; with --resume the newest under runs/]
+    /// Run directory [default: runs/DATE-TIME; with --resume the newest under runs/]
     #[arg(long, value_name = "DIR")]
     run: Option<PathBuf>,
     /// Go on from the newest checkpoint of the run directory, with its configuration unless --config names another
