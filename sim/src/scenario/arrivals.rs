@@ -9,8 +9,8 @@ const MINUTE: f64 = 60.0;
 /// How many vehicles a demand sends in each minute.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Arrivals {
-    /// Vehicles in each minute from the beginning to the end, the last one possibly short. A flow at random counts as
-    /// much as it sends on average, an even one vehicle by vehicle.
+    /// Vehicles in each minute from the beginning to the end, the last one possibly short; of flows, what they send on
+    /// average.
     pub per_minute: Vec<f64>,
     /// Vehicles outside that time, which are never simulated.
     pub outside: f64,
@@ -38,11 +38,7 @@ impl Arrivals {
             Departures::Single(Some(depart)) => {
                 (depart, depart, &move |time| f64::from(u8::from(depart < time)))
             }
-            Departures::Even { from, until, period } => {
-                // A vehicle due a rounding error before the end of a minute is due at its end.
-                (from, until, &move |time: f64| ((time.min(until) - from) / period - 1e-9).ceil().max(0.0))
-            }
-            Departures::Random { from, until, per_second } => {
+            Departures::Flow { from, until, per_second } => {
                 (from, until, &move |time: f64| ((time.min(until) - from) * per_second).max(0.0))
             }
         };
@@ -113,18 +109,22 @@ mod tests {
     }
 
     #[test]
-    fn an_even_flow_sends_whole_vehicles() {
-        // Every 7 s from 10 s: 10, 17, ..., 59 are eight vehicles, 66 is in the next minute.
-        let flow = "<flow begin=\"10\" end=\"70\" period=\"7\"/>";
-        assert_eq!(arrivals(flow, 0, 120).per_minute, [8.0, 1.0]);
+    fn a_flow_counts_by_its_rate() {
+        let flow = "<flow begin=\"10\" end=\"90\" period=\"5\"/>";
+        assert_eq!(arrivals(flow, 0, 120).per_minute, [10.0, 6.0]);
         let flow = "<flow begin=\"0\" end=\"120\" vehsPerHour=\"360\"/>";
         assert_eq!(arrivals(flow, 0, 120).per_minute, [6.0, 6.0]);
         let flow = "<flow begin=\"0\" end=\"1\" number=\"6\"/>";
         assert_eq!(arrivals(flow, 0, 120).per_minute, [6.0, 0.0]);
+        for without in
+            ["end=\"9\"", "begin=\"9\" end=\"9\" number=\"2\"", "period=\"0\"", "probability=\"-1\""]
+        {
+            assert_eq!(arrivals(&format!("<flow {without}/>"), 0, 120).volume(), 0.0, "{without}");
+        }
     }
 
     #[test]
-    fn a_random_flow_counts_on_average_and_only_within_the_time() {
+    fn what_a_flow_sends_after_the_end_is_outside() {
         let flow = "<flow begin=\"30\" end=\"300\" probability=\"0.5\"/>";
         let arrivals = arrivals(flow, 0, 90);
         assert_eq!(arrivals.per_minute, [15.0, 15.0]);

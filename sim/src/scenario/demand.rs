@@ -12,17 +12,8 @@ use std::path::{Path, PathBuf};
 pub(super) enum Departures {
     /// One vehicle at a time in seconds; none for one that waits for something else.
     Single(Option<f64>),
-    /// Vehicles at even distances in time, from the first at `from` on, all before `until`.
-    Even {
-        /// Seconds.
-        from: f64,
-        /// Seconds.
-        until: f64,
-        /// Seconds between two of them.
-        period: f64,
-    },
-    /// Vehicles at random.
-    Random {
+    /// Vehicles at a constant rate.
+    Flow {
         /// Seconds.
         from: f64,
         /// Seconds.
@@ -59,11 +50,7 @@ pub(super) fn vehicles(routes: &[PathBuf], begin: f64, end: f64) -> Result<u64, 
         total += match departures {
             // SUMO discards what should have departed before the simulation begins.
             Departures::Single(depart) => f64::from(u8::from(depart.is_none_or(|depart| depart >= begin))),
-            Departures::Even { from, until, period } => {
-                // A flow that says how many it sends sends them all, at whatever time it begins.
-                (until.min(end) - from.max(begin)).max(0.0) / period
-            }
-            Departures::Random { from, until, per_second } => {
+            Departures::Flow { from, until, per_second } => {
                 (until.min(end) - from.max(begin)).max(0.0) * per_second
             }
         };
@@ -101,25 +88,20 @@ fn read_text(
 fn flow(element: &BytesStart<'_>, (begin, end): (f64, f64)) -> Option<Departures> {
     let from = number(element, "begin").unwrap_or(begin);
     let until = number(element, "end").unwrap_or(end);
-    let even = |period: f64| {
-        (period > 0.0 && period.is_finite()).then_some(Departures::Even { from, until, period })
-    };
-    if let Some(number) = number(element, "number") {
-        return even((until - from) / number);
-    }
-    if let Some(rate) = number(element, "vehsPerHour").or_else(|| number(element, "perHour")) {
-        return even(3600.0 / rate);
-    }
-    if let Some(period) = number(element, "period") {
-        return even(period);
-    }
     // `period="exp(0.5)"`: exponentially distributed pauses, so many vehicles a second.
     let exponential = || {
         let period = element.try_get_attribute("period").ok()??;
         period.value.trim().strip_prefix("exp(")?.strip_suffix(')')?.trim().parse::<f64>().ok()
     };
-    let per_second = number(element, "probability").or_else(exponential)?;
-    (per_second.is_finite() && per_second > 0.0).then_some(Departures::Random { from, until, per_second })
+    let per_hour = |rate: f64| rate / 3600.0;
+    let per_second = number(element, "number")
+        .map(|number| number / (until - from))
+        .or_else(|| number(element, "vehsPerHour").map(per_hour))
+        .or_else(|| number(element, "perHour").map(per_hour))
+        .or_else(|| number(element, "period").map(|period| 1.0 / period))
+        .or_else(|| number(element, "probability"))
+        .or_else(exponential)?;
+    (per_second.is_finite() && per_second > 0.0).then_some(Departures::Flow { from, until, per_second })
 }
 
 fn number(element: &BytesStart<'_>, key: &str) -> Option<f64> {

@@ -43,24 +43,8 @@ pub enum ScenarioError {
         remedy: String,
     },
     /// A file is not the one that the definition pins.
-    #[error(
-        "the {what} of scenario {scenario:?}, {files}, has the hash {found} instead of {expected}; {remedy}, or take the \
-         [pin] out of its scenario.toml and compare with no published figures"
-    )]
-    Pinned {
-        /// Name of the scenario.
-        scenario: String,
-        /// `net` or `demand`.
-        what: &'static str,
-        /// Where it was read from.
-        files: String,
-        /// Hash in the definition.
-        expected: String,
-        /// Hash of the files.
-        found: String,
-        /// What to do.
-        remedy: &'static str,
-    },
+    #[error(transparent)]
+    Pinned(Box<PinMismatch>),
     /// Net and demand cannot be built.
     #[error("cannot build scenario {scenario:?}: {source}")]
     Generate {
@@ -69,4 +53,25 @@ pub enum ScenarioError {
         /// Why.
         source: Box<crate::generate::GenerateError>,
     },
+}
+
+/// A net or demand that has another hash than the definition pins.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "the {what} of scenario {scenario:?}, {files}, has the hash {found} instead of {expected}; {remedy}, or take [pin] out of \
+     its scenario.toml and compare with no published figures"
+)]
+pub struct PinMismatch {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// `net` or `demand`.
+    pub what: &'static str,
+    /// Where it was read from.
+    pub files: String,
+    /// Hash in the definition.
+    pub expected: String,
+    /// Hash of the files.
+    pub found: String,
+    /// What to do.
+    pub remedy: &'static str,
 }

@@ -12,7 +12,7 @@ mod search;
 
 pub use arrivals::Arrivals;
 pub use definition::{Reference, ReferenceMaxPressure, ReferenceOutgoing, ReferenceRange, SumoOptions};
-pub use error::ScenarioError;
+pub use error::{PinMismatch, ScenarioError};
 pub use search::{DEFINITION_FILE, SCENARIOS_VARIABLE, ScenarioEntry, ScenarioPath, place_for};
 
 use definition::{Definition, Import, Pin};
@@ -132,7 +132,7 @@ impl Scenario {
             ("demand", &pin.demand, &self.demand_hash, demand),
         ] {
             let Some(expected) = expected.as_ref().filter(|expected| *expected != found) else { continue };
-            return Err(ScenarioError::Pinned {
+            return Err(ScenarioError::Pinned(Box::new(PinMismatch {
                 scenario: self.name.clone(),
                 what,
                 files,
@@ -145,7 +145,7 @@ impl Scenario {
                     }
                     _ => "restore the file",
                 },
-            });
+            })));
         }
         Ok(())
     }

@@ -158,9 +158,6 @@ impl Facts {
 
     fn volume(&self) -> String {
         let mut text = format!("{} vehicles", self.vehicles);
-        if (self.arrivals.volume - self.vehicles as f64).abs() >= 1.0 {
-            let _ = write!(text, " by its rates, {:.0} one by one", self.arrivals.volume);
-        }
         if self.arrivals.outside >= 1.0 {
             let _ = write!(text, " ({:.0} more lie outside the duration)", self.arrivals.outside);
         }

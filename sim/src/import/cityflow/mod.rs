@@ -11,6 +11,9 @@ mod flow;
 mod input;
 mod report;
 mod roadnet;
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may panic")]
+mod tests;
 
 pub use error::ImportError;
 pub use report::Item;
