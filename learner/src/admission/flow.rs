@@ -4,6 +4,7 @@ use super::Admission;
 use super::buffer::lag;
 use super::episodes::{Episode, Finished, episode_seeds};
 use super::types::{Assignment, Command, Outcome, Round};
+use std::collections::VecDeque;
 
 impl Admission {
     /// Does all that the present state allows. Called after every event.
@@ -137,7 +138,8 @@ impl Admission {
     }
 
     /// Gives each actor that asked an episode of the scenario furthest behind its quota. All quotas are equal, so that is
-    /// the scenario with the least supply.
+    /// the scenario with the least supply. While even that one has all it may buffer, the actor waits: an episode begun
+    /// now would only be older when its turn comes.
     fn assign(&mut self) {
         let last_round_taken = self.progress.updates >= self.settings.updates;
         if self.stopping
@@ -146,6 +148,7 @@ impl Admission {
         {
             return;
         }
+        let mut later = VecDeque::new();
         while let Some(id) = self.requests.pop_front() {
             let Some(actor) = self.actors.get(&id) else { continue };
             let Some(stream) = actor.stream else { continue };
@@ -156,6 +159,10 @@ impl Admission {
             } else {
                 let furthest = actor.runnable.iter().copied().min_by_key(|&i| (self.supply(i), i));
                 let Some(scenario) = furthest else { continue };
+                if self.supply(scenario) >= self.settings.buffered_steps {
+                    later.push_back(id);
+                    continue;
+                }
                 let episode = self.progress.next_episode;
                 self.progress.next_episode += 1;
                 (episode, scenario)
@@ -171,6 +178,7 @@ impl Admission {
             let assignment = Assignment { episode, scenario, sumo_seed, action_seed, min_policy_version };
             self.commands.push(Command::Assign { stream, assignment });
         }
+        self.requests = later;
     }
 
     /// Gives an actor's unfinished episode back. What came of it stays valid data, except in serial mode: there the whole

@@ -225,34 +225,53 @@ fn data_too_old_is_dropped_on_arrival_and_while_it_waits() {
     assert_eq!((admission.offered(0, Outcome::Stale), admission.offered(1, Outcome::Stale)), (1, 0));
 }
 
+/// Paused, with the episode of `a` buffered and two fragments' worth of room for `b`, which is at its episode's start.
+fn nearly_full(unacked_fragments: usize) -> Admission {
+    let mut admission = joined(Settings { buffered_steps: 40, unacked_fragments, ..settings(&["x"]) });
+    admission.pause();
+    admission.join(Duration::ZERO, "b", &[]).unwrap();
+    admission.hello(Duration::ZERO, StreamId(2), "b", EPOCH).unwrap();
+    request(&mut admission, 1).unwrap();
+    request(&mut admission, 2).unwrap();
+    assert_eq!(outcomes(&episode(&mut admission, 1, "a", "x", 0)).len(), 3);
+    assert_eq!(outcomes(&offer(&mut admission, 2, fragment("b", 1, 0, "x", 0, 10))).len(), 1);
+    admission
+}
+
 #[test]
 fn a_full_buffer_withholds_acknowledgements_until_an_update_drains_it() {
-    let mut admission = joined(Settings { buffered_steps: 30, ..settings(&["x"]) });
-    admission.pause();
-    request(&mut admission, 1).unwrap();
-    assert_eq!(outcomes(&episode(&mut admission, 1, "a", "x", 0)).len(), 3);
-    request(&mut admission, 1).unwrap();
-    let held = offer(&mut admission, 1, fragment("a", 1, 0, "x", 0, 10));
-    assert_eq!(held, []);
+    let mut admission = nearly_full(4);
+    assert_eq!(offer(&mut admission, 2, fragment("b", 1, 1, "x", 10, 10)), []);
     // Sent again, it is still one fragment with one answer to come.
-    assert_eq!(offer(&mut admission, 1, fragment("a", 1, 0, "x", 0, 10)), []);
+    assert_eq!(offer(&mut admission, 2, fragment("b", 1, 1, "x", 10, 10)), []);
     assert!(admission.is_holding_back());
     let commands = admission.resume();
     assert_eq!(round(&commands).unwrap().fragments.len(), 3);
-    assert_eq!(outcomes(&commands), [(1, 0, Outcome::Accepted)]);
+    assert_eq!(outcomes(&commands), [(1, 1, Outcome::Accepted)]);
 }
 
 #[test]
 fn a_fragment_over_the_limit_of_unacknowledged_ones_ends_the_stream() {
-    let mut admission = joined(Settings { buffered_steps: 30, unacked_fragments: 1, ..settings(&["x"]) });
+    let mut admission = nearly_full(1);
+    offer(&mut admission, 2, fragment("b", 1, 1, "x", 10, 10));
+    let commands = offer(&mut admission, 2, fragment("b", 1, 2, "x", 20, 10));
+    let reason = CloseReason::TooManyUnacked { limit: 1 };
+    assert_eq!(commands, [Command::Close { stream: StreamId(2), reason }]);
+}
+
+#[test]
+fn no_episode_begins_while_the_buffer_will_be_full_anyway() {
+    let mut admission = joined(Settings { buffered_steps: 30, ..settings(&["x"]) });
     admission.pause();
     request(&mut admission, 1).unwrap();
     episode(&mut admission, 1, "a", "x", 0);
-    request(&mut admission, 1).unwrap();
-    offer(&mut admission, 1, fragment("a", 1, 0, "x", 0, 10));
-    let commands = offer(&mut admission, 1, fragment("a", 1, 1, "x", 10, 10));
-    let reason = CloseReason::TooManyUnacked { limit: 1 };
-    assert_eq!(commands, [Command::Close { stream: StreamId(1), reason }]);
+    assert_eq!(request(&mut admission, 1), None, "a round is there: more would only grow old");
+    let commands = admission.resume();
+    assert!(round(&commands).is_some());
+    assert!(
+        commands.iter().any(|c| matches!(c, Command::Assign { .. })),
+        "the buffer is empty again: {commands:?}"
+    );
 }
 
 #[test]
