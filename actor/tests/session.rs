@@ -4,6 +4,7 @@
 mod support;
 
 use clap::Parser;
+use cross_actor::options::LogFormat;
 use cross_actor::{ActorError, Ending, Options};
 use cross_proto::fragment::{FragmentSpec, decode};
 use cross_proto::v1::stream_fragments_response::Message as Answer;
@@ -25,6 +26,10 @@ struct Actor {
 
 impl Actor {
     fn start(learner: &str, id: &str, more: &[&str]) -> Self {
+        if let Ok(filter) = std::env::var("CROSS_LOG") {
+            // All tests of the process share one log; whoever comes first sets it up.
+            let _ = cross_actor::process::log_to_stderr(LogFormat::Text, &filter);
+        }
         let directory = tempfile::tempdir().unwrap();
         let address_file = directory.path().join("metrics");
         let file = address_file.to_str().unwrap();

@@ -29,6 +29,8 @@ pub(crate) fn small_config() -> Config {
     config.model.gfe = Gfe::Movement;
     config.model.hidden = 32;
     config.actor.fragment_steps = 4;
+    // A whole episode, so that it can be sent before anything is acknowledged.
+    config.actor.unacked_fragments = 3;
     config.validate().unwrap();
     config
 }
