@@ -84,6 +84,17 @@ fn grid5x5_heavy_has_the_published_volume() {
 }
 
 #[test]
+fn arrivals_are_described_as_published() {
+    for (name, published) in
+        [("grid4x4", [1473.0, 24.55, 13.89, 72.0, 6.0]), ("arterial4x4", [2484.0, 41.4, 24.69, 88.0, 10.0])]
+    {
+        let arrivals = Scenario::load(name).unwrap().arrivals().unwrap();
+        let found = [arrivals.volume(), arrivals.mean(), arrivals.std(), arrivals.max(), arrivals.min()];
+        assert_eq!(found.map(|value| (value * 100.0).round() / 100.0), published, "{name}");
+    }
+}
+
+#[test]
 fn the_same_options_give_the_same_files() {
     let demand = Demand::Uniform { vehicles_per_hour: 600, duration: 600 };
     let options = GridOptions { columns: 2, rows: 3, demand, ..GridOptions::default() };

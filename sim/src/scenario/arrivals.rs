@@ -66,12 +66,13 @@ impl Arrivals {
         self.volume() / self.per_minute.len().max(1) as f64
     }
 
-    /// Standard deviation of the minutes, divided by their number, as the data sets' descriptions have it.
+    /// Standard deviation about the mean of those minutes in which anybody departs, divided by their number: the definition
+    /// by which the published descriptions of data sets come out, whose traffic often ends before the hour does.
     #[must_use]
     pub fn std(&self) -> f64 {
         let mean = self.mean();
-        let squares: f64 = self.per_minute.iter().map(|count| (count - mean).powi(2)).sum();
-        (squares / self.per_minute.len().max(1) as f64).sqrt()
+        let squares: f64 = self.busy_minutes().map(|count| (count - mean).powi(2)).sum();
+        (squares / self.busy_minutes().count().max(1) as f64).sqrt()
     }
 
     /// The busiest minute.
@@ -80,10 +81,20 @@ impl Arrivals {
         self.per_minute.iter().copied().fold(0.0, f64::max)
     }
 
-    /// The quietest minute.
+    /// The quietest minute in which anybody departs; 0 if nobody ever does.
     #[must_use]
     pub fn min(&self) -> f64 {
-        self.per_minute.iter().copied().reduce(f64::min).unwrap_or(0.0)
+        self.busy_minutes().reduce(f64::min).unwrap_or(0.0)
+    }
+
+    /// Minutes in which nobody departs.
+    #[must_use]
+    pub fn empty_minutes(&self) -> usize {
+        self.per_minute.len() - self.busy_minutes().count()
+    }
+
+    fn busy_minutes(&self) -> impl Iterator<Item = f64> {
+        self.per_minute.iter().copied().filter(|&count| count > 0.0)
     }
 }
 
@@ -139,5 +150,13 @@ mod tests {
             (15.0, 5.0, 9.0, 2.0)
         );
         assert!((arrivals.std() - (26.0_f64 / 3.0).sqrt()).abs() < 1e-12);
+        // A minute without departures counts for the mean alone.
+        let arrivals = Arrivals { per_minute: vec![2.0, 4.0, 0.0], outside: 0.0, untimed: 0 };
+        assert_eq!(
+            (arrivals.mean(), arrivals.std(), arrivals.min(), arrivals.empty_minutes()),
+            (2.0, 2.0_f64.sqrt(), 2.0, 1)
+        );
+        let nobody = Arrivals { per_minute: vec![0.0; 2], outside: 0.0, untimed: 0 };
+        assert_eq!((nobody.mean(), nobody.std(), nobody.max(), nobody.min()), (0.0, 0.0, 0.0, 0.0));
     }
 }

@@ -175,3 +175,44 @@ impl Grid {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Debug, Parser)]
+    struct Cli {
+        #[command(flatten)]
+        grid: Grid,
+    }
+
+    fn options(arguments: &[&str]) -> GridOptions {
+        let arguments = ["grid", "--name", "mine"].iter().chain(arguments);
+        Cli::try_parse_from(arguments).unwrap().grid.options()
+    }
+
+    #[test]
+    fn what_is_not_said_is_the_library_s_default() {
+        assert_eq!(options(&[]), GridOptions::default());
+    }
+
+    #[test]
+    fn dead_ends_are_as_far_away_as_crossings_unless_said_otherwise() {
+        let wide = options(&["--spacing", "300"]);
+        assert_eq!((wide.spacing, wide.fringe), (300.0, 300.0));
+        assert_eq!(options(&["--spacing", "300", "--fringe", "75"]).fringe, 75.0);
+    }
+
+    #[test]
+    fn only_the_profile_that_was_chosen_counts() {
+        let two_wave =
+            options(&["--demand", "two-wave", "--second-peak", "7", "--vehicles-per-hour", "9"]).demand;
+        let expected =
+            Demand::TwoWave { first_peak: 1100, second_peak: 7, slot_seconds: 300, initial_per_lane: 0 };
+        assert_eq!(two_wave, expected);
+        let uniform =
+            options(&["--demand", "uniform", "--vehicles-per-hour", "9", "--duration", "60"]).demand;
+        assert_eq!(uniform, Demand::Uniform { vehicles_per_hour: 9, duration: 60 });
+    }
+}

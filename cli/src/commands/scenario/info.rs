@@ -66,6 +66,8 @@ struct PerMinute {
     std: f64,
     max: f64,
     min: f64,
+    /// Minutes without departures; they count for the mean alone.
+    empty_minutes: usize,
 }
 
 #[derive(Debug, Serialize)]
@@ -107,6 +109,7 @@ impl Facts {
                     std: arrivals.std(),
                     max: arrivals.max(),
                     min: arrivals.min(),
+                    empty_minutes: arrivals.empty_minutes(),
                 },
                 outside: arrivals.outside,
             },
@@ -140,13 +143,7 @@ impl Facts {
             ("lanes", format!("{}, of which {} end at a signal", self.lanes, self.signalised_lanes)),
             ("duration", format!("{} s", self.duration_seconds)),
             ("volume", self.volume()),
-            (
-                "per minute",
-                format!(
-                    "mean {:.2}, std {:.2}, max {:.2}, min {:.2}",
-                    minutes.mean, minutes.std, minutes.max, minutes.min
-                ),
-            ),
+            ("per minute", minutes.render()),
             ("net hash", self.hashes.net.clone()),
             ("demand hash", self.hashes.demand.clone()),
             ("layout hash", self.hashes.layout.clone()),
@@ -160,6 +157,17 @@ impl Facts {
         let mut text = format!("{} vehicles", self.vehicles);
         if self.arrivals.outside >= 1.0 {
             let _ = write!(text, " ({:.0} more lie outside the duration)", self.arrivals.outside);
+        }
+        text
+    }
+}
+
+impl PerMinute {
+    fn render(&self) -> String {
+        let Self { mean, std, max, min, empty_minutes } = self;
+        let mut text = format!("mean {mean:.2}, std {std:.2}, max {max:.2}, min {min:.2}");
+        if *empty_minutes > 0 {
+            let _ = write!(text, " ({empty_minutes} minutes without departures count for the mean alone)");
         }
         text
     }
