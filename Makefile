@@ -7,8 +7,10 @@ CARGO ?= cargo
 ARGS ?=
 
 TARGET := $(or $(CARGO_TARGET_DIR),target)
-# The set-up decides here whether a LIBTORCH or SUMO_HOME of the user's fits, and unsets it if not.
-IN_ENV := . .deps/environment.sh &&
+# The set-up decides here whether a LIBTORCH or SUMO_HOME of the user's fits, and unsets it if not. What the user's own
+# cargo settings say about places is overruled: train and the tests look for the programs in $(TARGET)/release.
+IN_ENV := . .deps/environment.sh && unset CARGO_BUILD_TARGET && export CARGO_BUILD_BUILD_DIR='$(TARGET)' &&
+IN_TARGET := --target-dir '$(TARGET)'
 
 .DEFAULT_GOAL := help
 .PHONY: help setup build train test test-setup verify fix clean distclean
@@ -27,30 +29,32 @@ setup: ## Fetch SUMO, libtorch and the RESCO maps into .deps/ (only what is miss
 	@CARGO='$(CARGO)' $(PYTHON) scripts/setup.py
 
 build: setup ## Set up and build the binaries in release: target/release/cross, cross-learner, cross-actor
-	@$(IN_ENV) $(CARGO) build --release --workspace --bins
+	@$(IN_ENV) $(CARGO) build $(IN_TARGET) --release --workspace --bins
+	@test -x '$(TARGET)/release/cross' || { echo 'error: the build left no $(TARGET)/release/cross: take build.target out of your cargo configuration (~/.cargo/config.toml), it puts programs elsewhere' >&2; exit 1; }
 
 train: build ## Train CROSS on real SUMO, then compare it with Fixed-Time and Max-Pressure
-	@$(IN_ENV) $(TARGET)/release/cross train $(ARGS)
+	@# exec: a signal that make passes on reaches the run itself, not a shell that would leave it behind.
+	@$(IN_ENV) exec '$(TARGET)/release/cross' train $(ARGS)
 
 test: build test-setup ## Every test: set-up, documentation, units, and whole clusters with real SUMO
-	@$(IN_ENV) $(CARGO) test --release --workspace
+	@$(IN_ENV) $(CARGO) test $(IN_TARGET) --release --workspace
 
 test-setup: setup ## The tests of the set-up and the documentation alone (quick)
 	@$(PYTHON) -B -m unittest discover --quiet --buffer --start-directory scripts/tests --top-level-directory scripts
 
 verify: setup ## Formatting, lints, documentation, licences; writes nothing outside target/
 	$(CARGO) fmt --all --check
-	@$(IN_ENV) $(CARGO) clippy --locked --release --workspace --all-targets -- -D warnings
-	@$(IN_ENV) RUSTDOCFLAGS='-D warnings' $(CARGO) doc --locked --release --workspace --no-deps
+	@$(IN_ENV) $(CARGO) clippy $(IN_TARGET) --locked --release --workspace --all-targets -- -D warnings
+	@$(IN_ENV) RUSTDOCFLAGS='-D warnings' $(CARGO) doc $(IN_TARGET) --locked --release --workspace --no-deps
 	@if $(CARGO) deny --version >/dev/null 2>&1; then $(CARGO) deny --all-features check bans licenses sources; \
 	else echo 'skipped: licences and sources of the dependencies; to check them: cargo install --locked cargo-deny'; fi
 
 fix: setup ## Format, and let clippy repair what it can
 	$(CARGO) fmt --all
-	@$(IN_ENV) $(CARGO) clippy --release --workspace --all-targets --fix --allow-dirty --allow-staged
+	@$(IN_ENV) $(CARGO) clippy $(IN_TARGET) --release --workspace --all-targets --fix --allow-dirty --allow-staged
 
 clean: ## Remove what the build made (target/)
-	$(CARGO) clean
+	$(CARGO) clean $(IN_TARGET)
 
 distclean: clean ## Remove the set-up too (.deps/); runs/ stays
 	rm -rf .deps

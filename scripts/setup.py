@@ -60,6 +60,8 @@ def set_up(deps, flavour, check_only):
     for found in own:
         if found.remark:
             print(f"set-up: {found.remark}")
+    if installed.astray(os.environ):
+        print(f"set-up: not used: {', '.join(installed.astray(os.environ))}; LIBTORCH alone names a libtorch of your own")
     provided = {found.part for found in own if found.fits}
     wanted = [part for part in parts.all_parts(flavour) if part.name not in provided]
     missing = [part for part in wanted if not part.is_installed(deps)]

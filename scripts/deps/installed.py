@@ -6,7 +6,10 @@ import shlex
 import subprocess
 from pathlib import Path
 
-from .parts import TORCH_VERSION
+from .parts import SUMO_VERSION, TORCH_VERSION
+
+# Variables that lead the Rust bindings past LIBTORCH, to another libtorch or to another way of linking it.
+ASTRAY = ("LIBTORCH_USE_PYTORCH", "LIBTORCH_INCLUDE", "LIBTORCH_LIB", "LIBTORCH_CXX11_ABI", "LIBTORCH_STATIC")
 
 
 class Found:
@@ -42,16 +45,32 @@ def libtorch(environment, flavour):
 
 
 def sumo(environment):
-    """SUMO_HOME fits if its program sumo starts."""
+    """SUMO_HOME fits if its program sumo starts and is not older than the SUMO that the set-up installs.
+
+    The programs speak one version of TraCI's API (traci/src/constants.rs), which an older SUMO may not know.
+    """
     value = environment.get("SUMO_HOME", "")
     if not value:
         return Found("sumo", "SUMO_HOME")
     program = Path(value) / "bin" / "sumo"
     version, why = sumo_version(program)
+    if version is not None and release(version) < release(SUMO_VERSION):
+        version, why = None, f"it is SUMO {version} and {SUMO_VERSION} or newer is needed"
     if version is None:
         return Found("sumo", "SUMO_HOME", remark=f"SUMO_HOME={value} is not used: {why}")
     label = f"SUMO {version} from SUMO_HOME"
     return Found("sumo", "SUMO_HOME", True, label, f"SUMO_HOME={value} is used: SUMO {version}")
+
+
+def astray(environment):
+    """The variables of ASTRAY that are set."""
+    return [variable for variable in ASTRAY if variable in environment]
+
+
+def release(version):
+    """(1, 28, 0) of 1.28.0, so that versions compare; what follows the numbers is left out."""
+    numbers = [int(number) for number in re.match(r"[\d.]*", version)[0].split(".") if number]
+    return (*numbers, 0, 0, 0)[:3]
 
 
 def libtorch_version(root):
@@ -76,6 +95,10 @@ def sumo_version(program):
     if not program.exists():
         return None, "it has no bin/sumo"
     try:
+        with open(program, "rb") as file:
+            if file.read(2) == b"#!":
+                # As pip puts one beside Python: SUMO would outlive it when it is killed, so the programs refuse it.
+                return None, "bin/sumo is a script that starts SUMO, not SUMO itself"
         ended = subprocess.run(
             [str(program), "--version"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, timeout=60
         )
@@ -93,8 +116,9 @@ def write_environment(deps, own):
 
     A LIBTORCH that does not fit would win over .cargo/config.toml, and a SUMO_HOME over .deps. When .deps is
     used the variable is unset rather than set to .deps, so that make and a plain cargo build the same thing.
+    The variables of ASTRAY are always left out: the libtorch that is used was checked, what they name was not.
     """
-    unset = [found.variable for found in own if not found.fits]
+    unset = [*(found.variable for found in own if not found.fits), *ASTRAY]
     text = "# Written by scripts/setup.py; read by the Makefile's recipes.\n"
     text += "".join(f"unset {shlex.quote(variable)}\n" for variable in unset)
     path = deps / "environment.sh"

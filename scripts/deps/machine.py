@@ -6,6 +6,7 @@ import platform
 import re
 import shutil
 import subprocess
+import sys
 
 
 class SetupError(Exception):
@@ -13,6 +14,8 @@ class SetupError(Exception):
 
 
 GIB = 1 << 30
+# The first pip that takes --platform several times: wheels.py names every glibc that will do.
+PIP_NEEDED = (20, 3)
 
 
 def check_tools(manifest):
@@ -59,9 +62,16 @@ def _compiler_problem():
 
 
 def _pip_problem():
-    if importlib.util.find_spec("pip"):
-        return None
-    return "Python has no pip: install it, for example with apt-get install python3-pip (or python3 -m ensurepip)"
+    if not importlib.util.find_spec("pip"):
+        return "Python has no pip: install it, for example with apt-get install python3-pip (or python3 -m ensurepip)"
+    answer = _output([sys.executable, "-m", "pip", "--version"])
+    found = re.search(r"^pip (\d+)\.(\d+)", answer, re.MULTILINE)
+    remedy = "run python3 -m pip install --upgrade pip"
+    if not found:
+        return f"pip does not run ({_last_line(answer)}): {remedy}"
+    if (int(found[1]), int(found[2])) < PIP_NEEDED:
+        return f"pip {found[1]}.{found[2]} is too old, {PIP_NEEDED[0]}.{PIP_NEEDED[1]} or newer is needed: {remedy}"
+    return None
 
 
 def _disk_problem(deps, parts):

@@ -1,6 +1,7 @@
 """Tests of the set-up, on small wheels made here: nothing is fetched, and the checkout's own .deps is only looked at."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -185,6 +186,16 @@ class Prerequisites(unittest.TestCase):
                     machine.check_for_install(Path(folder), parts.all_parts("cpu"))
         self.assertIn("apt-get install python3-pip", str(caught.exception))
 
+    def test_a_pip_that_is_too_old_or_broken_is_named_with_its_remedy(self):
+        answers = {"pip 20.2.4 from /x (python 3.9)": "pip 20.2 is too old", "No module named pip._internal": "pip does not run (No module"}
+        for answer, expected in answers.items():
+            with mock.patch.object(machine, "_output", return_value=answer):
+                self.assertIn(expected, machine._pip_problem())
+                self.assertIn("python3 -m pip install --upgrade pip", machine._pip_problem())
+        for answer in ("pip 20.3 from /x (python 3.9)", "WARNING: something\npip 9999.0.dev0 from /x"):
+            with mock.patch.object(machine, "_output", return_value=answer):
+                self.assertIsNone(machine._pip_problem())
+
     def test_too_small_a_disk_is_named_with_both_figures(self):
         with tempfile.TemporaryDirectory() as folder:
             with mock.patch.object(machine.shutil, "disk_usage", return_value=mock.Mock(free=machine.GIB)):
@@ -212,11 +223,13 @@ class OwnInstallations(unittest.TestCase):
             (self.folder / name).touch()
         (self.folder / "build-version").write_text(version, encoding="utf-8")
 
-    def make_sumo(self, script):
-        program = self.folder / "bin" / "sumo"
-        program.parent.mkdir(parents=True)
-        program.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
-        program.chmod(0o755)
+    def make_sumo(self, answer, code=0):
+        """A program, not a script, that says `answer`."""
+        (self.folder / "bin").mkdir(exist_ok=True)
+        compilers = (os.environ.get("CXX") or "").split() or [next(filter(shutil.which, ("c++", "g++", "clang++")))]
+        source = f'#include <cstdio>\nint main() {{ std::puts("{answer}"); return {code}; }}\n'
+        command = [*compilers, "-x", "c++", "-", "-o", str(self.folder / "bin" / "sumo")]
+        subprocess.run(command, input=source.encode(), check=True)
 
     def libtorch(self, flavour="cpu"):
         return installed.libtorch({"LIBTORCH": str(self.folder)}, flavour)
@@ -239,11 +252,24 @@ class OwnInstallations(unittest.TestCase):
 
     def test_a_sumo_that_starts_is_used_and_one_that_does_not_is_named(self):
         self.assertIn("it has no bin/sumo", self.sumo().remark)
-        self.make_sumo("echo Eclipse SUMO sumo Version 1.20.0")
-        self.assertEqual((self.sumo().fits, self.sumo().label), (True, "SUMO 1.20.0 from SUMO_HOME"))
-        (self.folder / "bin" / "sumo").write_text("#!/bin/sh\necho libproj.so.25: not found\nexit 127\n", encoding="utf-8")
+        self.make_sumo("Eclipse SUMO sumo 1.28.0")
+        self.assertEqual((self.sumo().fits, self.sumo().label), (True, "SUMO 1.28.0 from SUMO_HOME"))
+        self.make_sumo("libproj.so.25: not found", code=127)
         self.assertFalse(self.sumo().fits)
         self.assertIn("libproj.so.25", self.sumo().remark)
+
+    def test_a_sumo_that_the_programs_would_refuse_is_named(self):
+        self.make_sumo("Eclipse SUMO sumo Version 1.20.0")
+        self.assertFalse(self.sumo().fits)
+        self.assertIn("it is SUMO 1.20.0 and 1.28.0 or newer is needed", self.sumo().remark)
+        (self.folder / "bin" / "sumo").write_text("#!/bin/sh\necho Eclipse SUMO sumo 1.28.0\n", encoding="utf-8")
+        self.assertFalse(self.sumo().fits)
+        self.assertIn("is a script that starts SUMO", self.sumo().remark)
+
+    def test_versions_compare_as_numbers(self):
+        self.assertLess(installed.release("1.9.2"), installed.release("1.28.0"))
+        self.assertEqual(installed.release("1.28"), installed.release("1.28.0"))
+        self.assertGreaterEqual(installed.release("1.28.0+0123-abc"), installed.release("1.28.0"))
 
     def test_what_does_not_fit_is_unset_for_the_build(self):
         deps = self.folder / ".deps"
@@ -252,6 +278,17 @@ class OwnInstallations(unittest.TestCase):
         command = f'. "{deps}/environment.sh"; echo "[$LIBTORCH][$SUMO_HOME]"'
         answer = subprocess.run(["sh", "-c", command], env={"LIBTORCH": "/nowhere", "SUMO_HOME": "/old"}, stdout=subprocess.PIPE)
         self.assertEqual(answer.stdout.decode(), "[][]\n")
+
+    def test_variables_that_lead_past_libtorch_are_always_unset_and_told_when_set(self):
+        self.make_libtorch("2.11.0")
+        deps = self.folder / ".deps"
+        installed.write_environment(deps, [self.libtorch(), installed.sumo({})])
+        set_ones = {"LIBTORCH": "/own", **{variable: "1" for variable in installed.ASTRAY}}
+        answer = subprocess.run(["sh", "-c", f'. "{deps}/environment.sh"; env'], env=set_ones, stdout=subprocess.PIPE)
+        left = [line for line in answer.stdout.decode().splitlines() if line.startswith("LIBTORCH")]
+        self.assertEqual(left, ["LIBTORCH=/own"])
+        self.assertEqual(installed.astray({"LIBTORCH": "/own"}), [])
+        self.assertEqual(installed.astray({"LIBTORCH_STATIC": "", "PATH": "/"}), ["LIBTORCH_STATIC"])
 
 
 class ThisCheckout(unittest.TestCase):

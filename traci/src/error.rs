@@ -182,7 +182,7 @@ pub enum TraciError {
     /// SUMO is of a version that this crate was not written for.
     #[error(
         "{identifier} speaks TraCI API version {found}, this program versions {oldest} to {newest}: \
-         use the SUMO that `make build` installs, or name another with --sumo-home"
+         unset SUMO_HOME to use the SUMO that `make build` installs, or name another with --sumo-home"
     )]
     Version {
         /// SUMO's API version.

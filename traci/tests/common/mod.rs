@@ -9,13 +9,13 @@ use std::time::{Duration, Instant};
 /// Long enough for a busy machine; nothing waits this long unless it is broken.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What `make build` installs.
+/// Where `make build` puts the maps.
 pub(crate) fn deps() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../.deps").canonicalize().expect("run `make build` first")
 }
 
 pub(crate) fn home() -> SumoHome {
-    SumoHome::locate(Some(&deps().join("sumo/sumo"))).expect("run `make build` first")
+    SumoHome::locate(None).expect("run `make build` first")
 }
 
 /// Sixteen traffic lights and 1473 vehicles in an hour.
