@@ -6,7 +6,7 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file could not be read.
-    #[error("cannot read the configuration {}: {source}", path.display())]
+    #[error("cannot read the configuration {}: {source}; check the path given with --config", path.display())]
     Read {
         /// File that was asked for.
         path: PathBuf,
@@ -14,7 +14,7 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// Syntax error, unknown key, or a value of the wrong type.
-    #[error("the configuration {origin} is not valid: {}", message.trim_end())]
+    #[error("the configuration {origin} is not valid: {message}; every key is in docs/configuration.md")]
     Parse {
         /// File or source of the text.
         origin: String,

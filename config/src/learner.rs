@@ -22,9 +22,9 @@ pub struct LearnerConfig {
     pub max_actors: usize,
     /// Largest gRPC message, bytes.
     pub max_message_bytes: usize,
-    /// Seconds without a message or keepalive answer after which an actor's lease ends.
+    /// Seconds without a message of an actor (it sends heartbeats) after which its lease ends.
     pub lease_seconds: u64,
-    /// Seconds a drain may take after SIGTERM before the process exits regardless.
+    /// Seconds a drain may take after SIGTERM, the update in progress included, before the process exits regardless.
     pub drain_seconds: u64,
 }
 
@@ -39,7 +39,7 @@ impl Default for LearnerConfig {
             max_actors: 1024,
             max_message_bytes: 16 * 1024 * 1024,
             lease_seconds: 30,
-            drain_seconds: 20,
+            drain_seconds: 60,
         }
     }
 }
@@ -61,7 +61,7 @@ impl LearnerConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ActorConfig {
-    /// Most steps in a fragment; a whole episode by default. Weights are swapped between fragments.
+    /// Most steps in a fragment. Weights are swapped between fragments.
     pub fragment_steps: u32,
     /// Fragments that may be sent and not yet acknowledged.
     pub unacked_fragments: usize,

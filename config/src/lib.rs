@@ -73,9 +73,12 @@ impl Config {
     /// # Errors
     /// [`ConfigError::Parse`] for syntax, unknown keys and wrong types, [`ConfigError::Invalid`] for values that cannot work.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, ConfigError> {
-        let config: Self = toml::from_str(text).map_err(|source| ConfigError::Parse {
-            origin: origin.to_owned(),
-            message: source.to_string(),
+        let config: Self = toml::from_str(text).map_err(|source| {
+            let before = source.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+            let line = before.lines().count() + usize::from(before.is_empty() || before.ends_with('\n'));
+            // The parser's own display spreads over five lines and draws; people get one sentence.
+            let message = format!("line {line}: {}", source.message().trim_end());
+            ConfigError::Parse { origin: origin.to_owned(), message }
         })?;
         config.validate()?;
         Ok(config)
@@ -172,7 +175,11 @@ mod tests {
     #[test]
     fn unknown_key_is_refused_by_name() {
         let error = Config::from_toml("[ppo]\nlearning_rat = 1.0\n", "my.toml").unwrap_err().to_string();
-        assert!(error.contains("my.toml") && error.contains("learning_rat"), "{error}");
+        assert!(
+            error.contains("my.toml") && error.contains("line 2") && error.contains("learning_rat"),
+            "{error}"
+        );
+        assert!(!error.contains('\n'), "{error}");
     }
 
     #[test]

@@ -15,6 +15,9 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
+/// How long a repeated signal counts as an echo of the first and not as impatience.
+const ECHO: Duration = Duration::from_secs(1);
+
 /// Why the process ends without having done its work.
 enum Failure {
     /// What was asked for cannot be done; a person has to change it.
@@ -36,7 +39,9 @@ fn input(error: impl Into<anyhow::Error>) -> Failure {
 
 fn main() -> ExitCode {
     let options = Options::parse();
-    init_logging(options.log_format);
+    if let Err(failure) = init_logging(&options) {
+        return end(&options, &failure);
+    }
     let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
         Ok(runtime) => runtime,
         Err(error) => return end(&options, &Failure::Other(error.into())),
@@ -88,13 +93,17 @@ async fn run(options: &Options) -> Result<(), Failure> {
         "starting"
     );
     let setup = Setup { config, scenarios, run: run.path().to_owned(), run_id: run_id.clone(), resumed };
-    let learner = Learner::start(setup, grpc, metrics)?;
+    let learner = Learner::start(setup, grpc, metrics)
+        .map_err(|error| if error.is_input() { input(error) } else { Failure::Other(error.into()) })?;
     let (session_epoch, drain) = (learner.session_epoch(), learner.drain());
 
     // From here on a signal drains; a second one, or a drain that takes too long, ends the process at once.
     let stopping = tokio::spawn(async move {
         signals.next().await;
         drain.cancel();
+        // Who signals every process of a run lets `cross train` repeat the first signal a moment later.
+        let until = tokio::time::Instant::now() + ECHO;
+        while tokio::time::timeout_at(until, signals.next()).await.is_ok() {}
         tokio::select! {
             () = signals.next() => "a second signal came: ended without waiting for the checkpoint".to_owned(),
             () = tokio::time::sleep(drain_deadline) => {
@@ -119,6 +128,7 @@ async fn run(options: &Options) -> Result<(), Failure> {
         Ending::Complete => tracing::info!("training is complete"),
         Ending::Drained => tracing::info!("stopped; --resume goes on from here"),
         Ending::Failed(problem) => return Err(Failure::Other(anyhow::anyhow!(problem))),
+        Ending::Unusable(problem) => return Err(input(anyhow::anyhow!(problem))),
     }
     Ok(())
 }
@@ -164,18 +174,19 @@ impl Signals {
     }
 }
 
-fn init_logging(format: LogFormat) {
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
+fn init_logging(options: &Options) -> Result<(), Failure> {
+    let filter = tracing_subscriber::EnvFilter::try_new(&options.log)
+        .map_err(|problem| input(anyhow::anyhow!("the option --log is not a filter: {problem}")))?;
     // Whoever reads the log may go away; that must not end the training, which complaining on the same stream would.
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .log_internal_errors(false);
-    match format {
+    match options.log_format {
         LogFormat::Text => builder.with_target(false).with_ansi(false).init(),
         LogFormat::Json => builder.json().init(),
     }
+    Ok(())
 }
 
 /// The last line of the log, and the exit code.

@@ -11,6 +11,10 @@ use std::sync::Arc;
 
 /// How far above 0 a log-probability may be: the rounding of a float32 log-softmax.
 const LOG_PROB_SLACK: f32 = 1e-5;
+/// The least log-probability that a sampled phase can plausibly have: float32 draws do not reach below about -17.
+const LEAST_LOG_PROB: f32 = -100.0;
+/// Largest magnitude of a recurrent state, rounding included.
+const MOST_STATE: f32 = 1.001;
 
 /// What a fragment of one scenario must agree with.
 #[derive(Debug, Clone)]
@@ -125,16 +129,8 @@ pub fn decode(message: v1::Fragment, spec: &FragmentSpec) -> Result<Fragment, Vi
     check_phases("actions", &message.actions, steps, &spec.layout)?;
     check_floats("log_probs", &message.log_probs, steps, &spec.layout)?;
     check_floats("rewards", &message.rewards, steps, &spec.layout)?;
-    if let Some(index) = message.log_probs.iter().position(|&p| p > LOG_PROB_SLACK) {
-        return Err(violation(
-            "log_probs",
-            format!(
-                "has {} for {}; no log-probability is above 0",
-                message.log_probs[index],
-                at(index, &spec.layout)
-            ),
-        ));
-    }
+    check_log_probs(&message.log_probs, &spec.layout)?;
+    check_rewards(&message.rewards, &spec.layout)?;
     let counts = packing::unpack(&message.counts, (steps + 1) * spec.counts_per_step())
         .map_err(|error| violation("counts", error.to_string()))?;
     let state = if message.first_step == 0 { 0 } else { agents * spec.hidden };
@@ -241,6 +237,37 @@ fn check_floats(field: &str, values: &[f32], rows: usize, layout: &NetworkLayout
     }
 }
 
+/// Finite is not enough: one absurd value would make the loss of a whole round infinite.
+fn check_log_probs(values: &[f32], layout: &NetworkLayout) -> Result<(), Violation> {
+    match values.iter().position(|&p| !(LEAST_LOG_PROB..=LOG_PROB_SLACK).contains(&p)) {
+        Some(index) => Err(violation(
+            "log_probs",
+            format!(
+                "has {} for {}; a log-probability of a chosen phase lies between {LEAST_LOG_PROB} and 0",
+                values[index],
+                at(index, layout)
+            ),
+        )),
+        None => Ok(()),
+    }
+}
+
+/// A reward counts vehicles on the incoming lanes, and a count has 16 bits.
+fn check_rewards(values: &[f32], layout: &NetworkLayout) -> Result<(), Violation> {
+    let agents = layout.agents().max(1);
+    let most = |index: usize| {
+        let lanes = layout.intersections.get(index % agents).map_or(0, |own| own.incoming.len());
+        f32::from(u16::MAX) * lanes as f32
+    };
+    match values.iter().enumerate().find(|(index, reward)| reward.abs() > most(*index)) {
+        Some((index, reward)) => Err(violation(
+            "rewards",
+            format!("has {reward} for {}; its lanes cannot hold that many vehicles", at(index, layout)),
+        )),
+        None => Ok(()),
+    }
+}
+
 fn check_length(field: &str, length: usize, rows: usize, layout: &NetworkLayout) -> Result<(), Violation> {
     let agents = layout.agents();
     if length == rows * agents {
@@ -285,10 +312,11 @@ fn floats_from_bytes(
         ));
     }
     let values: Vec<f32> = bytes.as_chunks().0.iter().map(|&chunk| f32::from_le_bytes(chunk)).collect();
-    match values.iter().find(|value| !value.is_finite()) {
-        Some(value) => {
-            Err(violation(field, format!("holds {value}; only finite numbers can be learned from")))
-        }
+    match values.iter().find(|value| !(-MOST_STATE..=MOST_STATE).contains(*value)) {
+        Some(value) => Err(violation(
+            field,
+            format!("holds {value}; the state of a gated recurrent unit lies between -1 and 1"),
+        )),
         None => Ok(values),
     }
 }

@@ -62,11 +62,11 @@ fn fragment(spec: &FragmentSpec, first_step: u32, steps: u32, value: impl Fn(usi
         counts: (0..(rows + 1) * spec.counts_per_step()).map(|index| value(index).abs() as u16).collect(),
         phases: (0..(rows + 1) * agents).map(phase).collect(),
         actions: (0..rows * agents).map(phase).collect(),
-        log_probs: (0..rows * agents).map(|index| -value(index).abs()).collect(),
+        log_probs: (0..rows * agents).map(|index| -value(index).abs() % 100.0).collect(),
         rewards: (0..rows * agents).map(&value).collect(),
         recurrent: RecurrentState {
-            actor: (0..state).map(&value).collect(),
-            critic: (0..state).map(|index| value(index + 1)).collect(),
+            actor: (0..state).map(|index| value(index).sin()).collect(),
+            critic: (0..state).map(|index| value(index + 1).sin()).collect(),
         },
         end: if first_step + steps == spec.steps_per_episode {
             FragmentEnd::Truncated
@@ -100,7 +100,7 @@ proptest! {
     fn round_trip(
         first_step in 0..30_u32,
         steps in 1..=10_u32,
-        values in proptest::collection::vec(-1e6..1e6_f32, 1..50),
+        values in proptest::collection::vec(-6e4..6e4_f32, 1..50),
     ) {
         let spec = spec();
         let steps = steps.min(spec.steps_per_episode - first_step);
@@ -288,6 +288,14 @@ fn a_log_prob_above_zero_is_refused_but_rounding_is_not() {
     let mut message = valid();
     message.log_probs[0] = 1e-6;
     decode(message, &spec()).unwrap();
+}
+
+#[test]
+fn finite_but_absurd_values_are_refused_too() {
+    assert_eq!(refusal(|message| message.log_probs[0] = -1e30).0, "fragment.log_probs");
+    assert_eq!(refusal(|message| message.rewards[1] = -1e38).0, "fragment.rewards");
+    let huge = 1e30f32.to_le_bytes().repeat(spec().agents() * HIDDEN);
+    assert_eq!(refusal(|message| message.actor_state = huge.into()).0, "fragment.actor_state");
 }
 
 #[test]
