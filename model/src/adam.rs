@@ -115,15 +115,15 @@ mod tests {
             let mut adam = Adam::new(&params);
             if idle_in_new_process {
                 // Moments from a checkpoint, and no gradient yet.
-                tch::no_grad(|| adam.m[1].fill_(0.2));
-                tch::no_grad(|| adam.v[1].fill_(0.004));
+                let _ = tch::no_grad(|| adam.m[1].fill_(0.2));
+                let _ = tch::no_grad(|| adam.v[1].fill_(0.004));
                 adam.t = 1;
                 (&busy * 1.0).sum(Kind::Float).backward();
             } else {
                 (&busy * 1.0 + &idle * 1.0).sum(Kind::Float).backward();
                 zero_gradients(&params);
-                tch::no_grad(|| adam.m[1].fill_(0.2));
-                tch::no_grad(|| adam.v[1].fill_(0.004));
+                let _ = tch::no_grad(|| adam.m[1].fill_(0.2));
+                let _ = tch::no_grad(|| adam.v[1].fill_(0.004));
                 adam.t = 1;
             }
             adam.step(&params, 0.1, 1e9);
