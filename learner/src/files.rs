@@ -4,6 +4,9 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::path::Path;
 
+/// Prefix of files and directories that are being written or removed; what still bears it at a start is half of something.
+pub(crate) const ASIDE: &str = ".aside-";
+
 /// Writes a new file and has the disk keep it before returning.
 pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = File::create(path)?;
@@ -17,13 +20,26 @@ pub(crate) fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    let mut aside = tempfile::Builder::new().prefix(".aside-").tempfile_in(folder)?;
+    let mut aside = tempfile::Builder::new().prefix(ASIDE).tempfile_in(folder)?;
     aside.write_all(bytes)?;
     aside.as_file().sync_all()?;
     // A temporary file is its owner's alone; what replaces an ordinary file is for everyone who may read the folder.
     set_readable(aside.as_file())?;
     aside.persist(path).map_err(|error| error.error)?;
     sync_directory(folder)
+}
+
+/// Removes a file, or a directory with all that is in it, if there is one.
+pub(crate) fn remove_any(path: &Path) -> io::Result<()> {
+    let removed = match std::fs::symlink_metadata(path) {
+        Ok(found) if found.is_dir() => std::fs::remove_dir_all(path),
+        Ok(_) => std::fs::remove_file(path),
+        Err(error) => Err(error),
+    };
+    match removed {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
 }
 
 fn set_readable(file: &File) -> io::Result<()> {

@@ -43,6 +43,39 @@ pub struct Setup {
     pub resumed: Option<Resumed>,
 }
 
+/// Why a learner cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// Data of one could not be told from the other's.
+    #[error("two scenarios of this run are called {name}; give one another name in its scenario.toml")]
+    SameName {
+        /// The name.
+        name: String,
+    },
+    /// The folder of the checkpoints cannot be used.
+    #[error(transparent)]
+    Checkpoints(#[from] CheckpointError),
+    /// `metrics.jsonl` cannot be used.
+    #[error("cannot open {}: {source}", path.display())]
+    MetricsLog {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// The system is out of threads.
+    #[error("cannot start the trainer thread: {0}")]
+    Thread(std::io::Error),
+}
+
+impl StartError {
+    /// Whether a person has to change the scenarios or the run directory; otherwise a later try may do.
+    #[must_use]
+    pub fn is_input(&self) -> bool {
+        !matches!(self, Self::Thread(_))
+    }
+}
+
 /// A running learner.
 #[derive(Debug)]
 pub struct Learner {
@@ -85,15 +118,12 @@ impl Learner {
     ///
     /// # Errors
     /// If the run directory cannot be written or the thread not started.
-    pub fn start(setup: Setup, grpc: TcpListener, metrics: TcpListener) -> anyhow::Result<Self> {
+    pub fn start(setup: Setup, grpc: TcpListener, metrics: TcpListener) -> Result<Self, StartError> {
         let Setup { config, scenarios, run, run_id, resumed } = setup;
         let mut names: Vec<&str> = scenarios.iter().map(|(name, _)| name.as_str()).collect();
         names.sort_unstable();
         if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
-            anyhow::bail!(
-                "two scenarios of this run are called {}; give one another name in its scenario.toml",
-                pair[0]
-            );
+            return Err(StartError::SameName { name: pair[0].to_owned() });
         }
         let sizes: Vec<(String, usize)> =
             scenarios.iter().map(|(name, layout)| (name.clone(), layout.agents())).collect();
@@ -103,7 +133,7 @@ impl Learner {
         let progress = resumed.as_ref().map(|c| c.metadata.progress.clone()).unwrap_or_default();
         let policy_version = resumed.as_ref().map_or(1, |c| c.metadata.policy_version);
         let log = MetricsLog::open(&run, progress.updates)
-            .with_context(|| format!("cannot open {}", run.join(crate::metrics_log::FILE).display()))?;
+            .map_err(|source| StartError::MetricsLog { path: run.join(crate::metrics_log::FILE), source })?;
 
         let session_epoch = epoch_now();
         let settings = settings(&config, &scenarios, session_epoch);
@@ -131,8 +161,7 @@ impl Learner {
             log,
             telemetry: telemetry.clone(),
         };
-        let trainer =
-            trainer::spawn(trainer_setup, work, report_sender).context("cannot start the trainer thread")?;
+        let trainer = trainer::spawn(trainer_setup, work, report_sender).map_err(StartError::Thread)?;
         let admission = Admission::new(settings, policy_version, progress);
         let task = Coordinator::new(
             admission,
@@ -239,8 +268,8 @@ fn go_on_from(
             "falling back to checkpoint {id}; later updates are lost, the damaged checkpoints are renamed to damaged-*"
         );
         telemetry.fell_back(skipped.len());
-        store.fall_back(&id)?;
     }
+    store.go_on_from(&id)?;
     tracing::info!(checkpoint = %id, updates = checkpoint.metadata.updates, "resuming");
     Ok((Some(checkpoint), id))
 }

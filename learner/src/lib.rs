@@ -24,4 +24,4 @@ pub mod telemetry;
 mod trainer;
 
 pub use coordinator::{Ending, Life};
-pub use learner::{Learner, ScenarioLayout, Setup, find_checkpoint, load_scenarios};
+pub use learner::{Learner, ScenarioLayout, Setup, StartError, find_checkpoint, load_scenarios};

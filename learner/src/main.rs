@@ -196,11 +196,12 @@ fn end(options: &Options, failure: &Failure) -> ExitCode {
         Failure::Other(error) => (error, 1),
     };
     match options.log_format {
-        LogFormat::Text => {
+        LogFormat::Json if tracing::enabled!(tracing::Level::ERROR) => tracing::error!("{error:#}"),
+        // Also where --log keeps errors out of the log, or made no sense.
+        LogFormat::Json | LogFormat::Text => {
             // As for the log: nobody may be there to read it.
             let _ = writeln!(std::io::stderr(), "error: {error:#}");
         }
-        LogFormat::Json => tracing::error!("{error:#}"),
     }
     ExitCode::from(code)
 }

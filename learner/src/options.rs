@@ -48,9 +48,13 @@ pub(crate) struct Options {
     #[arg(long, value_name = "DIR")]
     pub(crate) scenarios: Option<PathBuf>,
 
-    /// Log lines on standard error: text or json; RUST_LOG sets the level (info by default)
+    /// Log lines on standard error: text or json
     #[arg(long, value_name = "FORMAT", default_value = "text", env = "CROSS_LOG_FORMAT")]
     pub(crate) log_format: LogFormat,
+
+    /// What is logged: error, warn, info, debug, trace, or a filter like cross_learner=debug
+    #[arg(long, value_name = "FILTER", default_value = "info", env = "CROSS_LOG")]
+    pub(crate) log: String,
 }
 
 const AFTER_HELP: &str = "\
@@ -62,7 +66,7 @@ Life of the process:
 
 Exit codes:
   0 training is complete, or was stopped and can be resumed
-  2 the configuration, a scenario, the run directory or a checkpoint cannot be used
+  2 an option, the configuration, a scenario, the run directory or a checkpoint cannot be used
   1 anything else
 
 Examples:

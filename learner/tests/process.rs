@@ -44,6 +44,9 @@ fn bad_input_is_one_sentence_and_exit_code_2() {
     fails(learner(&run, &["--config", "nowhere.toml"]).current_dir(folder.path()), 2, &["nowhere.toml"]);
     fails(&mut with_config("updatez = 3", &[]), 2, &["c.toml", "updatez"]);
     fails(&mut with_config("scenarios = [\"atlantis\"]", &[]), 2, &["atlantis"]);
+    fails(&mut with_config("", &["--log", "cross=loudly"]), 2, &["--log", "filter"]);
+    let json = ["--log", "cross=loudly", "--log-format", "json"];
+    fails(&mut with_config("", &json), 2, &["--log", "filter"]);
     let exposed = ["--listen", "0.0.0.0:0"];
     fails(&mut with_config("", &exposed), 2, &["--listen", "0.0.0.0:0", "--insecure"]);
     assert!(!run.exists(), "nothing is touched before the options are found to be good");
@@ -108,6 +111,14 @@ mod with_a_network {
         // Of another model: refused by name.
         std::fs::write(&config, "[model]\nhidden = 32\n").unwrap();
         fails(learner(&run, &["--resume"]).arg("--config").arg(&config), 2, &["000000", "[model]"]);
+        // Weights of another shape than their description says.
+        let wider = cross_config::Config::from_file(&config).unwrap().compatibility_hash();
+        let metadata = run.join("checkpoints/000000/metadata.json");
+        let text = std::fs::read_to_string(&metadata).unwrap();
+        let mut value: serde_json::Value = serde_json::from_str(&text).unwrap();
+        value["compatibility_hash"] = wider.into();
+        std::fs::write(&metadata, value.to_string()).unwrap();
+        fails(learner(&run, &["--resume"]).arg("--config").arg(&config), 2, &["does not fit"]);
         // The only checkpoint damaged: a sentence with a remedy.
         std::fs::write(run.join("checkpoints/000000/optimizer.safetensors"), "torn").unwrap();
         fails(

@@ -102,9 +102,19 @@ impl CheckpointError {
         move |source| Self::Io { action, path, source }
     }
 
-    /// Whether another checkpoint may do where this one does not: its files are at fault, not what is asked of it.
+    /// Whether the files of this one checkpoint are at fault, so that another may do. Nothing says so of a file that the
+    /// operating system does not let us read now, nor of one that a newer release wrote: both may be sound.
     #[must_use]
     pub fn is_corrupt(&self) -> bool {
-        !matches!(self, Self::Incompatible { .. } | Self::NotFound { .. } | Self::NoneUsable { .. })
+        match self {
+            Self::Missing { .. } | Self::Truncated { .. } | Self::Damaged { .. } | Self::Foreign { .. } => {
+                true
+            }
+            Self::Io { .. }
+            | Self::NotFound { .. }
+            | Self::FormatVersion { .. }
+            | Self::Incompatible { .. }
+            | Self::NoneUsable { .. } => false,
+        }
     }
 }

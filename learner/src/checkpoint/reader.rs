@@ -189,10 +189,12 @@ pub fn load_policy(path: &Path) -> Result<(Option<Metadata>, Vec<u8>), Checkpoin
 /// The newest usable checkpoint of a run, `None` if it has none at all.
 ///
 /// A damaged one is passed over for the one before it: losing some updates is better than losing the run. What was passed
-/// over is returned, for the caller to be loud about.
+/// over is returned, for the caller to be loud about. One that is not damaged, but cannot be used now, is never passed over:
+/// a person can mend that and lose nothing.
 ///
 /// # Errors
-/// [`CheckpointError::Incompatible`] if the configuration is another one, [`CheckpointError::NoneUsable`] if all are damaged.
+/// [`CheckpointError::Incompatible`] if the configuration is another one, [`CheckpointError::NoneUsable`] if all are damaged,
+/// [`CheckpointError::Io`] or [`CheckpointError::FormatVersion`] if the newest undamaged one cannot be read.
 pub fn resume(run: &Path, compatibility_hash: &str) -> Result<Option<Resumed>, CheckpointError> {
     let folder = run.join(FOLDER);
     let ids = ids(&folder)?;
@@ -208,7 +210,8 @@ pub fn resume(run: &Path, compatibility_hash: &str) -> Result<Option<Resumed>, C
                 }
                 return Ok(Some(Resumed { checkpoint, skipped }));
             }
-            Err(error) => skipped.push(error),
+            Err(error) if error.is_corrupt() => skipped.push(error),
+            Err(error) => return Err(error),
         }
     }
     match skipped.into_iter().next() {
@@ -220,7 +223,10 @@ pub fn resume(run: &Path, compatibility_hash: &str) -> Result<Option<Resumed>, C
 fn read_file(checkpoint: &Path, name: &'static str) -> Result<Vec<u8>, CheckpointError> {
     let path = checkpoint.join(name);
     std::fs::read(&path).map_err(|error| match error.kind() {
-        io::ErrorKind::NotFound => CheckpointError::Missing { path: checkpoint.to_owned(), file: name },
+        // The second: a file lies where the checkpoint's directory should be.
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
+            CheckpointError::Missing { path: checkpoint.to_owned(), file: name }
+        }
         _ => CheckpointError::io("read", &path)(error),
     })
 }

@@ -3,13 +3,10 @@
 use super::error::CheckpointError;
 use super::metadata::{FileInfo, Metadata};
 use super::{FOLDER, LATEST_FILE, METADATA_FILE, MODEL_FILE, OPTIMIZER_FILE, id, updates_of};
-use crate::files::{replace_file, sync_directory, write_synced};
+use crate::files::{ASIDE, remove_any, replace_file, sync_directory, write_synced};
 use cross_model::TrainerFiles;
 use std::io;
 use std::path::{Path, PathBuf};
-
-/// Prefix of directories that are being written or removed; whatever bears it is nobody's checkpoint.
-const ASIDE: &str = ".aside-";
 
 /// The checkpoints of one run, for the one process that writes them.
 #[derive(Debug)]
@@ -32,7 +29,7 @@ impl Store {
         for name in store.names()? {
             if name.starts_with(ASIDE) {
                 let path = store.folder.join(name);
-                std::fs::remove_dir_all(&path).map_err(CheckpointError::io("remove", &path))?;
+                remove_any(&path).map_err(CheckpointError::io("remove", &path))?;
             }
         }
         Ok(store)
@@ -70,9 +67,7 @@ impl Store {
     }
 
     fn fill(&self, aside: &Path, files: &TrainerFiles, metadata: &Metadata) -> Result<(), CheckpointError> {
-        if aside.exists() {
-            std::fs::remove_dir_all(aside).map_err(CheckpointError::io("remove", aside))?;
-        }
+        remove_any(aside).map_err(CheckpointError::io("remove", aside))?;
         std::fs::create_dir(aside).map_err(CheckpointError::io("create", aside))?;
         // Plain data serialises.
         let description = serde_json::to_vec_pretty(metadata).expect("metadata serialises");
@@ -95,29 +90,29 @@ impl Store {
         }
         std::fs::rename(aside, &path).map_err(CheckpointError::io("rename", aside))?;
         sync_directory(&self.folder).map_err(CheckpointError::io("synchronise", &self.folder))?;
-        if replaced.exists() {
-            std::fs::remove_dir_all(&replaced).map_err(CheckpointError::io("remove", &replaced))?;
-        }
-        Ok(())
+        remove_any(&replaced).map_err(CheckpointError::io("remove", &replaced))
     }
 
-    /// After a resumption that passed damaged checkpoints over: renames those, so that nobody trips over them and a person can
-    /// still look, and points `latest` at the one in use.
+    /// After a resumption from `id`: renames the newer checkpoints, which were damaged and passed over, so that nobody trips
+    /// over them and a person can still look, and has `latest` name the one in use. It may name another one even if none was
+    /// damaged: a process can be killed between the two steps of writing a checkpoint.
     ///
     /// # Errors
     /// [`CheckpointError::Io`].
-    pub fn fall_back(&self, to: &str) -> Result<(), CheckpointError> {
+    pub fn go_on_from(&self, id: &str) -> Result<(), CheckpointError> {
         for name in self.names()? {
-            if updates_of(&name) > updates_of(to) {
+            if updates_of(&name) > updates_of(id) {
                 let path = self.folder.join(&name);
                 let damaged = self.folder.join(format!("damaged-{name}"));
-                if damaged.exists() {
-                    std::fs::remove_dir_all(&damaged).map_err(CheckpointError::io("remove", &damaged))?;
-                }
+                remove_any(&damaged).map_err(CheckpointError::io("remove", &damaged))?;
                 std::fs::rename(&path, &damaged).map_err(CheckpointError::io("rename", &path))?;
             }
         }
-        self.point_latest(to)
+        // Looked at first, so that a run on a full disk can still be resumed.
+        match std::fs::read_to_string(self.folder.join(LATEST_FILE)) {
+            Ok(latest) if latest.trim() == id => Ok(()),
+            _ => self.point_latest(id),
+        }
     }
 
     fn point_latest(&self, id: &str) -> Result<(), CheckpointError> {

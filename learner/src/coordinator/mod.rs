@@ -18,6 +18,7 @@ use crate::admission::{Admission, Command};
 use crate::publish::Published;
 use crate::telemetry::Telemetry;
 use crate::trainer::{Report, Updated, Work};
+use cross_model::ModelError;
 use cross_proto::v1::{self, stream_fragments_response::Message};
 use outbox::Outboxes;
 use status::{Last, Rate, status};
@@ -49,6 +50,8 @@ pub enum Ending {
     Drained,
     /// It could not go on; a sentence.
     Failed(String),
+    /// The checkpoint or a scenario does not fit the model, so that starting again would end the same; a sentence.
+    Unusable(String),
 }
 
 /// What the coordinator tells everybody.
@@ -189,7 +192,7 @@ impl Coordinator {
                     self.finish();
                 }
             }
-            Report::Unusable(error) => return Some(Ending::Failed(error.to_string())),
+            Report::Unusable(error) => return Some(unusable(&error)),
             Report::Updated(updated) => {
                 self.updated(*updated);
                 if self.admission.is_complete() {
@@ -335,5 +338,16 @@ impl Coordinator {
             rate,
             now,
         ));
+    }
+}
+
+/// What it means that the model cannot be set up.
+fn unusable(error: &ModelError) -> Ending {
+    match error {
+        ModelError::Damaged { .. }
+        | ModelError::Foreign { .. }
+        | ModelError::Mismatch { .. }
+        | ModelError::TooLarge { .. } => Ending::Unusable(error.to_string()),
+        _ => Ending::Failed(error.to_string()),
     }
 }
