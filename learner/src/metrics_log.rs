@@ -124,11 +124,15 @@ impl MetricsLog {
     /// Appends a line, in one write, so that a reader sees a whole line or none.
     ///
     /// # Errors
-    /// Of the write.
+    /// Of the write; the file is then as it was, so that the next line does not continue half of this one.
     pub fn append(&mut self, line: &Line) -> io::Result<()> {
         let mut text = serde_json::to_vec(line)?;
         text.push(b'\n');
-        self.file.write_all(&text)
+        let before = self.file.metadata()?.len();
+        self.file.write_all(&text).inspect_err(|_| {
+            // The failure that matters is the first one.
+            let _ = self.file.set_len(before);
+        })
     }
 }
 

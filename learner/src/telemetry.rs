@@ -66,10 +66,10 @@ impl Telemetry {
             describe();
             gauge!(
                 "cross_build_info",
+                "program" => "cross-learner",
                 "version" => env!("CARGO_PKG_VERSION"),
                 "libtorch" => cross_model::libtorch_version(),
-                "protocol" => cross_proto::PROTOCOL_VERSION.to_string(),
-                "program" => "cross-learner"
+                "protocol" => cross_proto::PROTOCOL_VERSION.to_string()
             )
             .set(1.0);
             let lag = |kind: &'static str| gauge!("cross_learner_policy_lag_versions", "statistic" => kind);
@@ -248,8 +248,15 @@ mod tests {
         telemetry.published(2);
         telemetry.checkpointed(0.1);
         let text = telemetry.render();
+        // The labels that the actor gives it too, so that one query answers for both.
+        let build = format!(
+            "cross_build_info{{program=\"cross-learner\",version=\"{}\",libtorch=\"{}\",protocol=\"{}\"}} 1",
+            env!("CARGO_PKG_VERSION"),
+            cross_model::libtorch_version(),
+            cross_proto::PROTOCOL_VERSION
+        );
         for name in [
-            "cross_build_info{",
+            &build,
             "cross_learner_updates_total 1",
             "cross_learner_policy_version 2",
             "cross_learner_update_seconds_bucket{",
