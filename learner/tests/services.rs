@@ -57,6 +57,38 @@ async fn actors_that_do_not_fit_are_refused_by_name() {
 }
 
 #[tokio::test]
+async fn only_an_actor_that_says_so_leaves() {
+    let run = tempfile::tempdir().unwrap();
+    let mut config = config(&["x"], 3);
+    config.learner.max_actors = 1;
+    let learner = TestLearner::start(config, run.path()).await;
+    let mut actor = TestActor::join(&learner, "a").await;
+    let episode = actor.ask_for_episode().await.episode;
+
+    // A stream that merely ends is a lost connection: the lease goes on, and another stream needs no new join.
+    actor.hang_up();
+    assert_eq!(actor.hear().await.unwrap(), None);
+    assert_eq!(status::reason(&refusal(&learner, |_| ()).await), Some(Reason::TooManyActors));
+    actor.reconnect().await;
+    let crashed = v1::EpisodeAborted { episode, reason: "SUMO_CRASHED".to_owned() };
+    actor.say(up::Message::EpisodeAborted(crashed)).await;
+    actor.hang_up();
+    assert_eq!(actor.hear().await.unwrap(), None);
+    assert_eq!(status::reason(&refusal(&learner, |_| ()).await), Some(Reason::TooManyActors));
+
+    // One that says it shuts down frees its place.
+    actor.reconnect().await;
+    let episode = actor.ask_for_episode().await.episode;
+    let shutdown = v1::EpisodeAborted { episode, reason: "SHUTDOWN".to_owned() };
+    actor.say(up::Message::EpisodeAborted(shutdown)).await;
+    actor.hang_up();
+    assert_eq!(actor.hear().await.unwrap(), None);
+    let _other = TestActor::join(&learner, "b").await;
+    learner.drain().cancel();
+    learner.ended().await;
+}
+
+#[tokio::test]
 async fn a_bad_fragment_ends_its_own_stream_alone_and_names_the_field() {
     let run = tempfile::tempdir().unwrap();
     let learner = TestLearner::start(config(&["x", "y"], 9), run.path()).await;

@@ -119,7 +119,7 @@ impl Admission {
         self.take_commands()
     }
 
-    /// The actor closed its side in order: it leaves, and its share is free at once.
+    /// The actor said that it leaves and closed its side: its share is free at once.
     pub fn left(&mut self, stream: StreamId) -> Vec<Command> {
         if let Some(actor) = self.streams.get(&stream).cloned() {
             // It closed the stream itself, so there is nobody to tell.

@@ -18,6 +18,9 @@ const HELLO_TIMEOUT: Duration = Duration::from_secs(10);
 /// Answers to a stream beyond its acknowledgements: an assignment, a goodbye, an error, and slack for duplicates.
 const SPARE_ANSWERS: usize = 16;
 
+/// Why an actor that leaves gives up its episode.
+const SHUTDOWN: &str = "SHUTDOWN";
+
 type Answer = Result<v1::StreamFragmentsResponse, Status>;
 
 /// Opens a stream on its hello.
@@ -64,9 +67,10 @@ struct Reader {
 
 /// How a stream's incoming direction ended.
 enum Ended {
-    /// The actor finished it in order.
+    /// The actor said that it leaves, then finished it.
     Left,
-    /// The connection broke.
+    /// The connection broke, or the stream ended without that word: a proxy that closes it, or a process that is gone, must
+    /// not look like an actor that leaves, whose share is given to others at once.
     Broken,
     /// The actor broke a rule.
     Refused { status: Status, scenario: Option<usize> },
@@ -82,10 +86,13 @@ impl From<Gone> for Ended {
 
 impl Reader {
     async fn read(&self, mut incoming: Streaming<v1::StreamFragmentsRequest>) -> Ended {
+        let mut leaving = false;
         loop {
             let message = match incoming.message().await {
                 Ok(Some(request)) => request.message,
-                Ok(None) => return Ended::Left,
+                Ok(None) if leaving => return Ended::Left,
+                // Also how a cancelled request looks here.
+                Ok(None) => return Ended::Broken,
                 // What cannot be decoded, or is too large, is the actor's fault; everything else the connection's.
                 Err(status) if matches!(status.code(), tonic::Code::Internal | tonic::Code::OutOfRange) => {
                     let status = unexpected(&format!("a message cannot be read: {}", status.message()));
@@ -93,6 +100,12 @@ impl Reader {
                 }
                 Err(_) => return Ended::Broken,
             };
+            match &message {
+                Some(Message::EpisodeAborted(aborted)) => leaving = aborted.reason == SHUTDOWN,
+                // It has thought better of it.
+                Some(Message::EpisodeRequest(_)) => leaving = false,
+                _ => {}
+            }
             if let Err(ended) = self.pass_on(message).await {
                 return ended;
             }

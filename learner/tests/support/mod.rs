@@ -198,6 +198,11 @@ impl TestActor {
         soon("sending", self.requests.send(request)).await.unwrap();
     }
 
+    /// Closes this side of the stream.
+    pub(crate) fn hang_up(&mut self) {
+        self.requests = mpsc::channel(1).0;
+    }
+
     pub(crate) async fn hear(&mut self) -> Result<Option<down::Message>, Status> {
         let answer = soon("an answer", self.answers.message()).await?;
         Ok(answer.and_then(|answer| answer.message))
