@@ -4,12 +4,13 @@ use crate::error::ActorError;
 use crate::link::{Halt, Record, SimulatorEnd};
 use crate::recorder::{EpisodeHeader, Recorder};
 use crate::session::{Prepared, Session};
-use crate::telemetry::{Dropped, ScenarioMetrics, StepTimes, Telemetry};
+use crate::telemetry::{Dropped, StepTimes, Telemetry};
 use cross_model::{ActMode, Decision, ModelError, Policy};
 use cross_proto::v1;
 use cross_sim::SimError;
 use cross_sim::env::Env;
 use cross_sim::trajectory::{Fragment, FragmentEnd};
+use metrics::Counter;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::time::Instant;
@@ -109,7 +110,7 @@ impl Episode<'_> {
     }
 
     fn record(&mut self, recorder: &mut Recorder) -> Result<(), Interrupted> {
-        let metrics = self.telemetry.scenario(&self.assignment.scenario);
+        let decisions = self.telemetry.decisions(&self.assignment.scenario);
         // Seeded for each episode: what is sampled depends on weights and seeds, not on which actor samples.
         let mut rng = ChaCha8Rng::seed_from_u64(self.assignment.action_seed);
         let layout = self.prepared.layout.as_ref();
@@ -125,7 +126,7 @@ impl Episode<'_> {
         let mut reward_sum = 0.0;
         loop {
             self.link.check(self.session, self.assignment.episode)?;
-            let (rewards, done) = self.step(recorder, &mut rng, &metrics)?;
+            let (rewards, done) = self.step(recorder, &mut rng, &decisions)?;
             reward_sum += rewards;
             if !done && !recorder.is_full() {
                 continue;
@@ -134,7 +135,7 @@ impl Episode<'_> {
             let fragment = recorder.finish_fragment(self.env.observation(), end);
             self.hand_over(&fragment)?;
             if done {
-                self.finished(&metrics, reward_sum, recorder.steps());
+                self.finished(reward_sum, recorder.steps());
                 return Ok(());
             }
             // Between two fragments, so that each has one behaviour version.
@@ -152,7 +153,7 @@ impl Episode<'_> {
         &mut self,
         recorder: &mut Recorder,
         rng: &mut ChaCha8Rng,
-        metrics: &ScenarioMetrics,
+        decisions: &Counter,
     ) -> Result<(f64, bool), Interrupted> {
         let started = Instant::now();
         let decision = self.decide(rng)?;
@@ -164,7 +165,7 @@ impl Episode<'_> {
         let rewards = step.rewards.iter().map(|&r| f64::from(r)).sum();
         let done = step.done;
         recorder.reward(step.rewards);
-        metrics.decisions.increment(decision.actions.len() as u64);
+        decisions.increment(decision.actions.len() as u64);
 
         let after = self.env.timings();
         self.telemetry.step(StepTimes {
@@ -201,10 +202,11 @@ impl Episode<'_> {
         Ok(())
     }
 
-    fn finished(&self, metrics: &ScenarioMetrics, reward_sum: f64, steps: u32) {
+    fn finished(&self, reward_sum: f64, steps: u32) {
         let layout = &self.prepared.layout;
         let lanes: usize = layout.intersections.iter().map(|i| i.incoming.len()).sum();
-        metrics.episode_return.set(reward_sum / layout.agents().max(1) as f64);
-        metrics.queue_length.set(-reward_sum / (lanes.max(1) as f64 * f64::from(steps.max(1))));
+        let episode_return = reward_sum / layout.agents().max(1) as f64;
+        let queue_length = -reward_sum / (lanes.max(1) as f64 * f64::from(steps.max(1)));
+        self.telemetry.finished(&self.assignment.scenario, episode_return, queue_length);
     }
 }

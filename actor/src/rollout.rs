@@ -6,7 +6,7 @@ use crate::episode::{self, Behaviour, Episode, Interrupted};
 use crate::error::ActorError;
 use crate::link::{Halt, Record, SimulatorEnd};
 use crate::session::{Prepared, Session};
-use crate::telemetry::Telemetry;
+use crate::telemetry::{Outcome, Telemetry};
 use cross_proto::v1;
 use cross_sim::SimError;
 use cross_sim::env::{Env, EnvOptions};
@@ -102,7 +102,7 @@ impl Simulator {
             match self.episode(session, &assignment, prepared) {
                 Ok(()) => {
                     self.failures = 0;
-                    self.telemetry.episode(&name, "completed");
+                    self.telemetry.episode(&name, Outcome::Completed);
                 }
                 Err(Interrupted::Halt(halt)) => {
                     if let Some(halt) = self.halted(session, &assignment, halt) {
@@ -115,7 +115,7 @@ impl Simulator {
                     }
                 }
                 Err(Interrupted::Fatal(error)) => {
-                    self.telemetry.episode(&name, "failed");
+                    self.telemetry.episode(&name, Outcome::Failed);
                     return Err(error);
                 }
             }
@@ -170,13 +170,13 @@ impl Simulator {
                 let reason = episode::REASON_SHUTDOWN;
                 // A courtesy that gives the learner its share back at once; without it the lease does so later.
                 self.link.send_last(session, Record::Aborted { episode, reason }, LAST_WORDS);
-                "shutdown"
+                Outcome::Shutdown
             }
-            Halt::SessionChanged => "session_changed",
-            Halt::UnknownEpisode => "unknown_episode",
+            Halt::SessionChanged => Outcome::SessionChanged,
+            Halt::UnknownEpisode => Outcome::UnknownEpisode,
         };
         self.telemetry.episode(&assignment.scenario, outcome);
-        tracing::info!(episode, scenario = %assignment.scenario, outcome, "episode given up");
+        tracing::info!(episode, scenario = %assignment.scenario, outcome = outcome.label(), "episode given up");
         (halt != Halt::UnknownEpisode).then_some(halt)
     }
 
@@ -191,15 +191,15 @@ impl Simulator {
         self.env = None;
         let scenario = assignment.scenario.clone();
         if !error.is_simulator_failure() {
-            self.telemetry.episode(&scenario, "failed");
+            self.telemetry.episode(&scenario, Outcome::Failed);
             return Err(ActorError::Simulation { scenario, source: Box::new(error) });
         }
         self.failures += 1;
         let timeout = error.reason() == cross_traci::ErrorKind::Timeout.as_str();
         let (outcome, reason) = if timeout {
-            ("sumo_timeout", episode::REASON_SUMO_TIMEOUT)
+            (Outcome::SumoTimeout, episode::REASON_SUMO_TIMEOUT)
         } else {
-            ("sumo_crashed", episode::REASON_SUMO_CRASHED)
+            (Outcome::SumoCrashed, episode::REASON_SUMO_CRASHED)
         };
         self.telemetry.episode(&scenario, outcome);
         self.telemetry.sumo_restart(error.reason());

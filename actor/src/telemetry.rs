@@ -48,6 +48,51 @@ impl Dropped {
     }
 }
 
+/// How an episode ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// At its last step.
+    Completed,
+    /// The actor cannot go on.
+    Failed,
+    /// The actor was told to stop.
+    Shutdown,
+    /// The learner's session ended.
+    SessionChanged,
+    /// The learner did not know it.
+    UnknownEpisode,
+    /// SUMO ended or its connection broke.
+    SumoCrashed,
+    /// SUMO did not answer in time.
+    SumoTimeout,
+}
+
+impl Outcome {
+    const ALL: [Self; 7] = [
+        Self::Completed,
+        Self::Failed,
+        Self::Shutdown,
+        Self::SessionChanged,
+        Self::UnknownEpisode,
+        Self::SumoCrashed,
+        Self::SumoTimeout,
+    ];
+
+    /// The label's value.
+    #[must_use]
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Completed => "completed",
+            Self::Failed => "failed",
+            Self::Shutdown => "shutdown",
+            Self::SessionChanged => "session_changed",
+            Self::UnknownEpisode => "unknown_episode",
+            Self::SumoCrashed => "sumo_crashed",
+            Self::SumoTimeout => "sumo_timeout",
+        }
+    }
+}
+
 /// All metrics of one actor.
 pub struct Telemetry {
     recorder: PrometheusRecorder,
@@ -77,17 +122,6 @@ impl std::fmt::Debug for Telemetry {
     }
 }
 
-/// Metrics of one scenario.
-#[derive(Debug, Clone)]
-pub struct ScenarioMetrics {
-    /// Agent-decisions simulated.
-    pub decisions: Counter,
-    /// Mean over the agents of the summed raw reward of the newest finished episode.
-    pub episode_return: Gauge,
-    /// Stopped vehicles within reward range per incoming lane, mean over the same episode's decisions.
-    pub queue_length: Gauge,
-}
-
 /// How long the parts of one step took.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct StepTimes {
@@ -111,8 +145,13 @@ impl Telemetry {
         let handle = recorder.handle();
         let fixed = with_local_recorder(&recorder, || {
             describe();
-            gauge!("cross_build_info", "version" => env!("CARGO_PKG_VERSION"), "component" => "actor",
-                "libtorch" => cross_model::libtorch_version())
+            gauge!(
+                "cross_build_info",
+                "program" => "cross-actor",
+                "version" => env!("CARGO_PKG_VERSION"),
+                "libtorch" => cross_model::libtorch_version(),
+                "protocol" => cross_proto::PROTOCOL_VERSION.to_string()
+            )
             .set(1.0);
             for dropped in Dropped::ALL {
                 counter!("cross_actor_fragments_dropped_total", "reason" => dropped.label()).absolute(0);
@@ -220,22 +259,45 @@ impl Telemetry {
         });
     }
 
-    /// An episode ended.
-    pub fn episode(&self, scenario: &str, outcome: &'static str) {
-        with_local_recorder(&self.recorder, || {
-            counter!("cross_actor_episodes_total", "scenario" => scenario.to_owned(), "outcome" => outcome)
-                .increment(1);
-        });
+    /// The scenarios of the run: their counters exist from now on, and keep what they have counted.
+    pub fn scenarios<'a>(&self, names: impl Iterator<Item = &'a String>) {
+        for name in names {
+            self.decisions(name).increment(0);
+            for outcome in Outcome::ALL {
+                self.episodes(name, outcome).increment(0);
+            }
+        }
     }
 
-    /// The metrics of one scenario; there are as many as the run has scenarios.
-    #[must_use]
-    pub fn scenario(&self, name: &str) -> ScenarioMetrics {
-        with_local_recorder(&self.recorder, || ScenarioMetrics {
-            decisions: counter!("cross_actor_decisions_total", "scenario" => name.to_owned()),
-            episode_return: gauge!("cross_actor_episode_return", "scenario" => name.to_owned()),
-            queue_length: gauge!("cross_actor_queue_length_vehicles", "scenario" => name.to_owned()),
-        })
+    /// An episode ended.
+    pub fn episode(&self, scenario: &str, outcome: Outcome) {
+        self.episodes(scenario, outcome).increment(1);
+    }
+
+    fn episodes(&self, scenario: &str, outcome: Outcome) -> Counter {
+        with_local_recorder(
+            &self.recorder,
+            || counter!("cross_actor_episodes_total", "scenario" => scenario.to_owned(), "outcome" => outcome.label()),
+        )
+    }
+
+    /// Counts agent-decisions simulated.
+    pub fn decisions(&self, scenario: &str) -> Counter {
+        with_local_recorder(
+            &self.recorder,
+            || counter!("cross_actor_decisions_total", "scenario" => scenario.to_owned()),
+        )
+    }
+
+    /// What a finished episode came to. The gauges do not exist before the first: 0 would be the best return there is.
+    ///
+    /// `episode_return` is the summed raw reward, mean over agents; `queue_length` the stopped vehicles within reward
+    /// range per incoming lane, mean over the decisions.
+    pub fn finished(&self, scenario: &str, episode_return: f64, queue_length: f64) {
+        with_local_recorder(&self.recorder, || {
+            gauge!("cross_actor_episode_return", "scenario" => scenario.to_owned()).set(episode_return);
+            gauge!("cross_actor_queue_length_vehicles", "scenario" => scenario.to_owned()).set(queue_length);
+        });
     }
 }
 
@@ -268,12 +330,46 @@ mod tests {
     #[test]
     fn two_actors_in_one_process_count_apart() {
         let (one, other) = (Telemetry::new().unwrap(), Telemetry::new().unwrap());
-        one.scenario("grid").decisions.increment(16);
+        one.decisions("grid").increment(16);
         one.dropped(Dropped::Stale, 2);
         let text = one.render();
         assert!(text.contains("cross_actor_decisions_total{scenario=\"grid\"} 16"), "{text}");
         assert!(text.contains("cross_actor_fragments_dropped_total{reason=\"stale\"} 2"), "{text}");
         assert!(other.render().contains("cross_actor_fragments_dropped_total{reason=\"stale\"} 0"));
+    }
+
+    #[test]
+    fn a_scenario_has_counters_from_the_start_and_gauges_from_its_first_finished_episode() {
+        let telemetry = Telemetry::new().unwrap();
+        let names = ["grid".to_owned()];
+        telemetry.scenarios(names.iter());
+        telemetry.episode("grid", Outcome::Completed);
+        // Joined again: nothing is forgotten.
+        telemetry.scenarios(names.iter());
+        let text = telemetry.render();
+        for outcome in Outcome::ALL {
+            let count = u32::from(outcome == Outcome::Completed);
+            let label = outcome.label();
+            let line =
+                format!("cross_actor_episodes_total{{scenario=\"grid\",outcome=\"{label}\"}} {count}\n");
+            assert!(text.contains(&line), "{line} is not in {text}");
+        }
+        assert!(text.contains("cross_actor_decisions_total{scenario=\"grid\"} 0"), "{text}");
+        assert!(!text.contains("cross_actor_episode_return{"), "{text}");
+        assert!(!text.contains("cross_actor_queue_length_vehicles{"), "{text}");
+        telemetry.finished("grid", -2.5, 0.5);
+        let text = telemetry.render();
+        assert!(text.contains("cross_actor_episode_return{scenario=\"grid\"} -2.5"), "{text}");
+        assert!(text.contains("cross_actor_queue_length_vehicles{scenario=\"grid\"} 0.5"), "{text}");
+    }
+
+    #[test]
+    fn the_build_is_labelled_like_the_learners() {
+        let text = Telemetry::new().unwrap().render();
+        let line = text.lines().find(|line| line.starts_with("cross_build_info{")).unwrap();
+        for label in ["program=\"cross-actor\"", "version=", "libtorch=", "protocol="] {
+            assert!(line.contains(label), "{label} is not in {line}");
+        }
     }
 
     #[test]
