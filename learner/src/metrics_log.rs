@@ -177,4 +177,29 @@ mod tests {
         log.append(&line(4)).unwrap();
         assert_eq!(updates(run.path()), [1, 2, 3, 4]);
     }
+
+    /// The kernel takes half a line and refuses the rest, as a full disk does.
+    #[test]
+    fn a_line_that_does_not_fit_leaves_nothing_behind() {
+        const RUN: &str = "CROSS_TEST_FULL_DISK";
+        if let Some(run) = std::env::var_os(RUN) {
+            let mut log = MetricsLog::open(Path::new(&run), 0).unwrap();
+            assert!((1..=1000).any(|update| log.append(&line(update)).is_err()));
+            return;
+        }
+        let run = tempfile::tempdir().unwrap();
+        let name = "metrics_log::tests::a_line_that_does_not_fit_leaves_nothing_behind";
+        let status = std::process::Command::new("/bin/sh")
+            .args(["-c", "trap '' XFSZ; ulimit -f 3; exec \"$0\" --exact \"$1\" --nocapture"])
+            .arg(std::env::current_exe().unwrap())
+            .arg(name)
+            .env(RUN, run.path())
+            .stdout(std::process::Stdio::null())
+            .status()
+            .unwrap();
+        assert!(status.success(), "the child's words are above");
+        let done = updates(run.path());
+        assert!(!done.is_empty() && done.len() < 1000, "{done:?}");
+        assert!(std::fs::read(run.path().join(FILE)).unwrap().ends_with(b"\n"));
+    }
 }
