@@ -31,7 +31,8 @@ Examples:
   cross train --serial --seed 7                     one actor in lock step: the same numbers every time
 
 Ctrl-C or SIGTERM once: the learner finishes its update and writes a checkpoint, and the command ends with
-exit code 0 and \"interrupted\": true in the JSON result. Twice: everything is killed at once, exit code 1.")]
+exit code 0 and \"interrupted\": true in the JSON result. Again, more than a second later: everything is killed at
+once, exit code 1.")]
 pub(crate) struct Train {
     /// Scenario to train on: a name or a directory; repeat it to train on several together [default: grid4x4]
     #[arg(long = "scenario", value_name = "NAME")]
@@ -103,12 +104,14 @@ impl Train {
         let mut summary = Summary::new(&run, &config, trained.interrupted);
         if trained.killed {
             return Err(Failure::failed(format!(
-                "killed before the learner could write a checkpoint; continue from its newest one with {}",
+                "killed without waiting for a last checkpoint; continue from the newest one with {}",
                 resume_command(run.path())
             )));
         }
         closing::draw_curves(&run, &mut summary);
-        if !trained.interrupted && self.eval_seeds > 0 {
+        if trained.stopped_at_the_end {
+            summary.leave_out_evaluation();
+        } else if !trained.interrupted && self.eval_seeds > 0 {
             if !self.no_progress {
                 say(&format!("evaluating over {} seeds", self.eval_seeds));
             }

@@ -1,4 +1,4 @@
-//! How soon, and how often, a process that died is started again.
+//! How soon, how often, and how long in vain a process that died is started again.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -42,6 +42,29 @@ impl Backoff {
     }
 }
 
+/// Deaths of one process since training last advanced.
+///
+/// The rate alone would let a process that takes a while to die be started again for ever.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct InVain {
+    progress: u64,
+    deaths: u32,
+}
+
+impl InVain {
+    /// Counts a death when training had come to `progress`; deaths so far without any advance.
+    pub(crate) fn after_death(&mut self, progress: u64) -> u32 {
+        self.deaths = self.deaths(progress).saturating_add(1);
+        self.progress = self.progress.max(progress);
+        self.deaths
+    }
+
+    /// Deaths without any advance, now that training has come to `progress`.
+    pub(crate) fn deaths(&self, progress: u64) -> u32 {
+        if progress > self.progress { 0 } else { self.deaths }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -64,5 +87,14 @@ mod tests {
         assert!(backoff.after_death(seconds(10)).is_some());
         assert_eq!(backoff.after_death(seconds(59)), None);
         assert_eq!(backoff.after_death(seconds(60)), Some(seconds(1)));
+    }
+
+    #[test]
+    fn only_an_advance_forgets_deaths() {
+        let mut in_vain = InVain::default();
+        assert_eq!([3, 3, 3].map(|progress| in_vain.after_death(progress)), [1, 2, 3]);
+        assert_eq!((in_vain.deaths(3), in_vain.deaths(4)), (3, 0));
+        // Going back to an older checkpoint is no advance.
+        assert_eq!([2, 3, 4].map(|progress| in_vain.after_death(progress)), [4, 5, 1]);
     }
 }

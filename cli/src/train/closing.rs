@@ -117,14 +117,17 @@ impl Summary {
                 Ok(())
             }
             Err(EvaluateError::Stopped) => {
-                say(
-                    "the evaluation was stopped; the training is complete, and `cross eval` takes its checkpoint",
-                );
-                self.interrupted = true;
+                self.leave_out_evaluation();
                 Ok(())
             }
             Err(error) => Err(error.into()),
         }
+    }
+
+    /// Says that a stop came before the evaluation was done: an interruption, though the training itself is complete.
+    pub(crate) fn leave_out_evaluation(&mut self) {
+        say("the evaluation was stopped; the training is complete, and `cross eval` takes its checkpoint");
+        self.interrupted = true;
     }
 
     /// Writes `result.json` and returns what it holds.

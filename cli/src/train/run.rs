@@ -18,6 +18,10 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 const DRAIN_MARGIN: Duration = Duration::from_secs(60);
 /// How long actors may take to end once the learner has: a little beyond their own grace period.
 const ACTOR_GRACE: Duration = Duration::from_secs(12);
+/// How long the learner may take from its start until it serves: networks and the checkpoint are read by then.
+const READY: Duration = Duration::from_secs(120);
+/// Deaths of one process without any progress of the training that are too many.
+const DEATHS_IN_VAIN: u32 = 5;
 
 /// What every child is told, so that variables in the environment, meant for a cluster, change nothing here.
 const SETTLED: [&str; 4] = ["--metrics-listen", "127.0.0.1:0", "--log-format", "text"];
@@ -37,6 +41,8 @@ pub(crate) struct Plan {
 pub(crate) struct Trained {
     /// Stopped on request before the last update.
     pub(crate) interrupted: bool,
+    /// Stopped on request when the last update was done or nearly so: complete, but nothing more is to be begun.
+    pub(crate) stopped_at_the_end: bool,
     /// Ctrl-C twice: nothing was drained.
     pub(crate) killed: bool,
 }
@@ -87,6 +93,7 @@ pub(crate) fn run(run: &RunDir, plan: &Plan, watch: &Watch, progress: &mut Progr
             commands.extend(supervisor.handle(now, Event::StopAsked));
         }
         if let Some(status) = status {
+            commands.extend(supervisor.handle(now, Event::Updates(status.updates)));
             if matches!(status.phase(), Phase::Draining | Phase::Complete) {
                 commands.extend(supervisor.handle(now, Event::LearnerLeaving));
             }
@@ -103,6 +110,8 @@ fn limits(plan: &Plan) -> Limits {
     Limits {
         learner: Backoff::new(Duration::from_millis(500), Duration::from_secs(10), 6),
         actor: Backoff::new(Duration::from_millis(500), Duration::from_secs(10), 6),
+        in_vain: DEATHS_IN_VAIN,
+        ready: READY,
         drain: Duration::from_secs(plan.drain_seconds) + DRAIN_MARGIN,
         actor_grace: ACTOR_GRACE,
     }
@@ -115,8 +124,8 @@ impl Cluster<'_> {
         if let Some(exit) = self.learner.as_mut().and_then(Process::ended) {
             self.learner_words = self.learner.take().and_then(|learner| learner.last_words());
             self.learner_ready = false;
-            let complete = self.updates_on_disk() >= self.plan.updates;
-            events.push(Event::LearnerExited { exit, complete });
+            let saved = self.updates_on_disk();
+            events.push(Event::LearnerExited { exit, saved, complete: saved >= self.plan.updates });
         } else if !self.learner_ready && self.find_learner() {
             self.learner_ready = true;
             events.push(Event::LearnerReady);
@@ -163,6 +172,7 @@ impl Cluster<'_> {
                         learner.terminate();
                     }
                 }
+                Command::KillLearner => self.learner.iter().for_each(Process::kill),
                 Command::StopActor { actor } => {
                     if let Some(Some(actor)) = self.actors.get(actor) {
                         actor.terminate();
@@ -222,11 +232,20 @@ impl Cluster<'_> {
 
     /// The result, or the sentence that says why there is none.
     fn conclude(self, ending: Ending) -> Outcome<Trained> {
+        let trained = Trained { interrupted: false, stopped_at_the_end: false, killed: false };
         let cause = match ending {
-            Ending::Complete => return Ok(Trained { interrupted: false, killed: false }),
-            Ending::Interrupted => return Ok(Trained { interrupted: true, killed: false }),
-            Ending::Killed => return Ok(Trained { interrupted: true, killed: true }),
+            Ending::Complete { stopped } => return Ok(Trained { stopped_at_the_end: stopped, ..trained }),
+            Ending::Interrupted => return Ok(Trained { interrupted: true, ..trained }),
+            Ending::Killed => return Ok(Trained { interrupted: true, killed: true, ..trained }),
             Ending::Failed(cause) => cause,
+        };
+        let resume = if self.run.has_checkpoints() {
+            format!(
+                "continue from its newest checkpoint with `cross train --resume --run {}`",
+                self.run.path().display()
+            )
+        } else {
+            "there is no checkpoint yet to continue from".to_owned()
         };
         let log = |process: &str| self.run.log(process).display().to_string();
         let words = |words: &Option<String>| match words {
@@ -249,6 +268,18 @@ impl Cluster<'_> {
                 "the learner {exit} before it served: {learner}see {}",
                 log("learner")
             )),
+            Cause::LearnerNeverServed { seconds } => Failure::failed(format!(
+                "the learner did not serve within {seconds} s of its start and was killed: {learner}see {}",
+                log("learner")
+            )),
+            Cause::LearnerInVain { exit, deaths } => Failure::failed(format!(
+                "the learner {exit}, its {deaths}th end without a checkpoint that goes further: {learner}see {}",
+                log("learner")
+            )),
+            Cause::DrainFailed(exit) => Failure::failed(format!(
+                "the learner {exit} when it was to stop, without its last checkpoint: {learner}{resume}, and see {}",
+                log("learner")
+            )),
             Cause::LearnerRestarts { exit, per_minute } => Failure::failed(format!(
                 "the learner {exit}, after {per_minute} restarts within a minute: {learner}see {}",
                 log("learner")
@@ -258,10 +289,13 @@ impl Cluster<'_> {
                 per_minute + 1,
                 log(&format!("actor-{number}"))
             )),
+            Cause::ActorsInVain { actor: number, exit, deaths } => Failure::failed(format!(
+                "every actor keeps dying and no update gets done; the last one, actor {number}, {exit}, \
+                 its {deaths}th end since the last update: {actor}see {}",
+                log(&format!("actor-{number}"))
+            )),
             Cause::Hung => Failure::failed(format!(
-                "the learner did not finish its drain and was killed; continue from its newest checkpoint with \
-                 `cross train --resume --run {}`, and see {}",
-                self.run.path().display(),
+                "the learner did not finish its drain and was killed; {resume}, and see {}",
                 log("learner")
             )),
         })

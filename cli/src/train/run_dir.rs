@@ -17,6 +17,7 @@ use cross_learner::checkpoint::{FOLDER, LATEST_FILE, Metadata, reader, rfc3339};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 use std::fs::File;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -35,20 +36,18 @@ impl RunDir {
     pub(crate) fn create(given: Option<&Path>) -> Outcome<Self> {
         let path = match given {
             Some(path) => path.to_owned(),
-            None => fresh_name(Path::new(RUNS), SystemTime::now()),
+            None => fresh(Path::new(RUNS), SystemTime::now())?,
         };
         if path.is_file() {
             return Err(Failure::input(format!("{} is a file; name a directory with --run", path.display())));
         }
-        if holds_run(&path) {
-            return Err(Failure::input(format!(
-                "{} already holds a run; continue it with --resume or name another directory with --run",
-                path.display()
-            )));
-        }
+        // Before anything is written into it, and once more when nobody else can begin a run there.
+        refuse_run(&path)?;
         std::fs::create_dir_all(path.join("logs"))
             .with_context(|| format!("cannot create the run directory {}", path.display()))?;
-        Self::lock(path)
+        let run = Self::lock(path)?;
+        refuse_run(&run.path)?;
+        Ok(run)
     }
 
     /// A run that is there. Without `given` the newest one under [`RUNS`].
@@ -139,16 +138,35 @@ fn holds_run(path: &Path) -> bool {
     path.join("config.toml").exists() || path.join(FOLDER).exists()
 }
 
-/// `runs/20260131-235959`, with a number after it where that is taken.
-fn fresh_name(parent: &Path, now: SystemTime) -> PathBuf {
+fn refuse_run(path: &Path) -> Outcome<()> {
+    if holds_run(path) {
+        return Err(Failure::input(format!(
+            "{} already holds a run; continue it with --resume or name another directory with --run",
+            path.display()
+        )));
+    }
+    Ok(())
+}
+
+/// Makes `runs/20260131-235959`, with a number after it where that is taken. Two runs that begin in one second get two.
+fn fresh(parent: &Path, now: SystemTime) -> Outcome<PathBuf> {
     let stamp = stamp(now);
     let mut path = parent.join(&stamp);
     let mut number = 2;
-    while path.exists() {
-        path = parent.join(format!("{stamp}-{number}"));
-        number += 1;
+    std::fs::create_dir_all(parent).with_context(|| format!("cannot create {}", parent.display()))?;
+    loop {
+        match std::fs::create_dir(&path) {
+            Ok(()) => return Ok(path),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+                path = parent.join(format!("{stamp}-{number}"));
+                number += 1;
+            }
+            Err(error) => {
+                let context = format!("cannot create the run directory {}", path.display());
+                return Err(anyhow::Error::new(error).context(context).into());
+            }
+        }
     }
-    path
 }
 
 /// The newest run by the time its configuration was written.
@@ -184,10 +202,10 @@ mod tests {
     fn runs_without_a_name_are_called_after_their_time() {
         let time = std::time::UNIX_EPOCH + std::time::Duration::from_secs(951_868_799);
         let directory = tempfile::tempdir().unwrap();
-        let first = fresh_name(directory.path(), time);
-        assert!(first.ends_with("20000229-235959"), "{first:?}");
-        std::fs::create_dir(&first).unwrap();
-        assert!(fresh_name(directory.path(), time).ends_with("20000229-235959-2"));
+        for name in ["20000229-235959", "20000229-235959-2", "20000229-235959-3"] {
+            let path = fresh(directory.path(), time).unwrap();
+            assert!(path.ends_with(name) && path.is_dir(), "{path:?}");
+        }
     }
 
     #[test]

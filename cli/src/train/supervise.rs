@@ -2,14 +2,14 @@
 //!
 //! ```text
 //!   events ──> Supervisor ──> commands
-//!   learner ready / exited / leaving        start or stop the learner
-//!   actor exited                            start or stop an actor
+//!   learner ready / exited / leaving        start, stop or kill the learner
+//!   actor exited, updates done              start or stop an actor
 //!   stop asked for (Ctrl-C, SIGTERM)        kill everything
 //!   a tick of the clock                     finish
 //! ```
 //! The loop that owns the processes ([`super::run`]) carries commands out and reports back; times are since its start.
 
-use super::backoff::Backoff;
+use super::backoff::{Backoff, InVain};
 use std::fmt;
 use std::time::Duration;
 
@@ -29,6 +29,9 @@ impl fmt::Display for Exit {
     }
 }
 
+/// What [`Command::StopLearner`] does to a learner that does not listen for signals yet.
+const SIGTERM: Exit = Exit::Signal(15);
+
 /// What happened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Event {
@@ -36,10 +39,12 @@ pub(crate) enum Event {
     LearnerReady,
     /// The learner says that it finishes or drains: it will end by itself, and actors that leave now are right to.
     LearnerLeaving,
-    /// The learner ended; `complete` if its newest checkpoint holds all the updates that were asked for.
-    LearnerExited { exit: Exit, complete: bool },
+    /// The learner ended. Its newest checkpoint holds `saved` updates; `complete` if that is all that were asked for.
+    LearnerExited { exit: Exit, saved: u64, complete: bool },
     /// An actor ended.
     ActorExited { actor: usize, exit: Exit },
+    /// The learner says that it has done so many updates.
+    Updates(u64),
     /// Ctrl-C or SIGTERM.
     StopAsked,
     /// Time went by.
@@ -58,6 +63,8 @@ pub(crate) enum Command {
     },
     /// SIGTERM: drain and checkpoint.
     StopLearner,
+    /// SIGKILL to the learner alone.
+    KillLearner,
     /// SIGTERM.
     StopActor {
         actor: usize,
@@ -73,8 +80,8 @@ pub(crate) enum Command {
 /// How the run ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Ending {
-    /// All updates are done.
-    Complete,
+    /// All updates are done; `stopped` if a stop was asked for meanwhile, so that nothing more should be begun.
+    Complete { stopped: bool },
     /// Stopped on request, drained and checkpointed.
     Interrupted,
     /// Stopped on request without waiting.
@@ -92,10 +99,18 @@ pub(crate) enum Cause {
     ActorInput { actor: usize },
     /// The learner ended before it served for the first time.
     LearnerNeverReady(Exit),
+    /// The learner did not serve within its time, at the first start.
+    LearnerNeverServed { seconds: u64 },
     /// The learner died too often.
     LearnerRestarts { exit: Exit, per_minute: usize },
+    /// The learner died so many times without a checkpoint that goes further.
+    LearnerInVain { exit: Exit, deaths: u32 },
     /// Every actor died too often; the last one named.
     ActorRestarts { actor: usize, exit: Exit, per_minute: usize },
+    /// Every actor died so many times, or for good, without a new update; the last one named.
+    ActorsInVain { actor: usize, exit: Exit, deaths: u32 },
+    /// The learner was to finish its update and write a checkpoint, and ended without.
+    DrainFailed(Exit),
     /// The learner or an actor did not end within the grace period.
     Hung,
 }
@@ -107,6 +122,10 @@ pub(crate) struct Limits {
     pub learner: Backoff,
     /// Restarts of each actor.
     pub actor: Backoff,
+    /// Deaths without any progress that are too many.
+    pub in_vain: u32,
+    /// How long the learner may take from its start until it serves.
+    pub ready: Duration,
     /// How long the learner may drain.
     pub drain: Duration,
     /// How long actors may take to end once the learner has.
@@ -115,7 +134,7 @@ pub(crate) struct Limits {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Process {
-    /// Not started yet: actors wait for the learner.
+    /// Not started yet, or dismissed by a learner: actors wait for one that serves.
     New,
     Running,
     /// Died; starts again at this time.
@@ -141,9 +160,19 @@ pub(crate) struct Supervisor {
     phase: Phase,
     learner: Process,
     learner_was_ready: bool,
+    /// While the learner runs and does not serve yet: when it must.
+    learner_ready_by: Option<Duration>,
+    /// It was killed because it did not serve in time.
+    learner_overdue: bool,
     learner_leaving: bool,
     learner_backoff: Backoff,
+    learner_in_vain: InVain,
     actors: Vec<(Process, Backoff)>,
+    actors_in_vain: Vec<InVain>,
+    /// Most updates that a learner has told of.
+    updates: u64,
+    in_vain: u32,
+    ready: Duration,
     drain: Duration,
     actor_grace: Duration,
     stops_asked: u32,
@@ -155,9 +184,16 @@ impl Supervisor {
             phase: Phase::Running,
             learner: Process::New,
             learner_was_ready: false,
+            learner_ready_by: None,
+            learner_overdue: false,
             learner_leaving: false,
             learner_backoff: limits.learner,
+            learner_in_vain: InVain::default(),
             actors: vec![(Process::New, limits.actor); actors],
+            actors_in_vain: vec![InVain::default(); actors],
+            updates: 0,
+            in_vain: limits.in_vain,
+            ready: limits.ready,
             drain: limits.drain,
             actor_grace: limits.actor_grace,
             stops_asked: 0,
@@ -167,6 +203,7 @@ impl Supervisor {
     /// The first commands.
     pub(crate) fn start(&mut self) -> Vec<Command> {
         self.learner = Process::Running;
+        self.learner_ready_by = Some(self.ready);
         vec![Command::StartLearner { again: false }]
     }
 
@@ -182,9 +219,10 @@ impl Supervisor {
             Event::LearnerReady => self.learner_ready(&mut commands),
             // One that has ended since is not leaving any more.
             Event::LearnerLeaving => self.learner_leaving = self.learner == Process::Running,
-            Event::LearnerExited { exit, complete } => {
-                self.learner_exited(now, exit, complete, &mut commands);
+            Event::LearnerExited { exit, saved, complete } => {
+                self.learner_exited(now, exit, saved, complete, &mut commands);
             }
+            Event::Updates(updates) => self.updates = self.updates.max(updates),
             Event::ActorExited { actor, exit } => self.actor_exited(now, actor, exit, &mut commands),
             Event::StopAsked => self.stop_asked(now, &mut commands),
             Event::Tick => self.tick(now, &mut commands),
@@ -195,6 +233,7 @@ impl Supervisor {
 
     fn learner_ready(&mut self, commands: &mut Vec<Command>) {
         self.learner_was_ready = true;
+        self.learner_ready_by = None;
         if self.phase != Phase::Running {
             return;
         }
@@ -206,17 +245,30 @@ impl Supervisor {
         }
     }
 
-    fn learner_exited(&mut self, now: Duration, exit: Exit, complete: bool, commands: &mut Vec<Command>) {
+    fn learner_exited(
+        &mut self,
+        now: Duration,
+        exit: Exit,
+        saved: u64,
+        complete: bool,
+        commands: &mut Vec<Command>,
+    ) {
         self.learner = Process::Ended;
         self.learner_leaving = false;
-        match self.phase {
+        let served = self.learner_ready_by.take().is_none();
+        let overdue = std::mem::take(&mut self.learner_overdue);
+        match &mut self.phase {
             Phase::Running => {}
-            Phase::Stopping { .. } => {
-                // A stop that came after the last update interrupted nothing.
-                if complete
-                    && let Phase::Stopping { ending: ending @ Ending::Interrupted, .. } = &mut self.phase
-                {
-                    *ending = Ending::Complete;
+            Phase::Stopping { ending, .. } => {
+                // An earlier failure says more than its consequences.
+                if *ending == Ending::Interrupted {
+                    // Before it serves it has nothing to save, and may not yet listen for signals.
+                    let nothing_lost = exit == Exit::Code(0) || (!served && (exit == SIGTERM || overdue));
+                    if complete {
+                        *ending = Ending::Complete { stopped: true };
+                    } else if !nothing_lost {
+                        *ending = Ending::Failed(Cause::DrainFailed(exit));
+                    }
                 }
                 self.stop_actors(now, commands);
                 return;
@@ -224,13 +276,22 @@ impl Supervisor {
             Phase::Finished => return,
         }
         if exit == Exit::Code(0) && complete {
-            return self.stop(now, Ending::Complete, commands);
+            return self.stop(now, Ending::Complete { stopped: false }, commands);
         }
         if exit == Exit::Code(2) {
             return self.stop(now, Ending::Failed(Cause::LearnerInput), commands);
         }
         if !self.learner_was_ready {
-            return self.stop(now, Ending::Failed(Cause::LearnerNeverReady(exit)), commands);
+            let cause = if overdue {
+                Cause::LearnerNeverServed { seconds: self.ready.as_secs() }
+            } else {
+                Cause::LearnerNeverReady(exit)
+            };
+            return self.stop(now, Ending::Failed(cause), commands);
+        }
+        let deaths = self.learner_in_vain.after_death(saved);
+        if deaths >= self.in_vain {
+            return self.stop(now, Ending::Failed(Cause::LearnerInVain { exit, deaths }), commands);
         }
         match self.learner_backoff.after_death(now) {
             Some(wait) => {
@@ -248,16 +309,25 @@ impl Supervisor {
     }
 
     fn actor_exited(&mut self, now: Duration, actor: usize, exit: Exit, commands: &mut Vec<Command>) {
-        let Some((state, backoff)) = self.actors.get_mut(actor) else { return };
+        let Some((state, _)) = self.actors.get_mut(actor) else { return };
         *state = Process::Ended;
-        // An actor leaves by itself when the learner says goodbye; nothing is left for it to do then.
-        let dismissed = self.learner_leaving && exit == Exit::Code(0);
-        if self.phase != Phase::Running || dismissed {
+        if self.phase != Phase::Running {
+            return;
+        }
+        if self.learner_leaving && exit == Exit::Code(0) {
+            // The learner said goodbye; only another one, if there is to be one, has work for this actor.
+            *state = Process::New;
             return;
         }
         if exit == Exit::Code(2) {
             return self.stop(now, Ending::Failed(Cause::ActorInput { actor }), commands);
         }
+        let in_vain = self.actors_in_vain.get_mut(actor).map_or(0, |count| count.after_death(self.updates));
+        if in_vain >= self.in_vain && self.all_actors_in_vain() {
+            let cause = Cause::ActorsInVain { actor, exit, deaths: in_vain };
+            return self.stop(now, Ending::Failed(cause), commands);
+        }
+        let Some((state, backoff)) = self.actors.get_mut(actor) else { return };
         match backoff.after_death(now) {
             Some(wait) => {
                 *state = Process::Waiting(now + wait);
@@ -281,6 +351,14 @@ impl Supervisor {
         }
     }
 
+    /// Whether no actor is left that may yet bring training on. One that keeps dying beside others that work is only
+    /// held to its rate: their updates forgive it.
+    fn all_actors_in_vain(&self) -> bool {
+        let mut actors = self.actors.iter().zip(&self.actors_in_vain);
+        actors
+            .all(|((state, _), count)| *state == Process::Ended || count.deaths(self.updates) >= self.in_vain)
+    }
+
     fn stop_asked(&mut self, now: Duration, commands: &mut Vec<Command>) {
         self.stops_asked += 1;
         match &mut self.phase {
@@ -293,8 +371,13 @@ impl Supervisor {
             }
             Phase::Stopping { ending, .. } => {
                 if self.stops_asked > 1 {
-                    *ending = Ending::Killed;
+                    // What has failed by then stays the news.
+                    if !matches!(ending, Ending::Failed(_)) {
+                        *ending = Ending::Killed;
+                    }
                     commands.push(Command::KillAll);
+                } else if let Ending::Complete { stopped } = ending {
+                    *stopped = true;
                 }
             }
             Phase::Finished => {}
@@ -333,7 +416,16 @@ impl Supervisor {
             Phase::Running => {
                 if matches!(self.learner, Process::Waiting(at) if now >= at) {
                     self.learner = Process::Running;
+                    self.learner_ready_by = Some(now + self.ready);
                     commands.push(Command::StartLearner { again: true });
+                }
+                if !self.learner_overdue && self.learner_ready_by.is_some_and(|by| now >= by) {
+                    self.learner_overdue = true;
+                    commands.push(Command::Tell(format!(
+                        "the learner does not serve {} s after its start; it is killed",
+                        self.ready.as_secs()
+                    )));
+                    commands.push(Command::KillLearner);
                 }
                 for (actor, (state, _)) in self.actors.iter_mut().enumerate() {
                     if matches!(state, Process::Waiting(at) if now >= *at) {

@@ -3,7 +3,7 @@
 use cross_proto::client::TrainingClient;
 use cross_proto::v1::{GetStatusRequest, TrainingStatus, WatchProgressRequest};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
 use tokio_stream::StreamExt;
@@ -16,11 +16,27 @@ const RETRY: Duration = Duration::from_millis(500);
 /// For a connection and for an answer.
 const DEADLINE: Duration = Duration::from_secs(5);
 
+/// One wish to stop may arrive several times: from whoever signals a whole group of processes and, through one of them
+/// that passes it on, once more. What follows so soon is that, and not a second wish.
+const ECHO: Duration = Duration::from_secs(1);
+
 /// The newest news. Nothing queues: a status replaces the one before it.
 #[derive(Debug, Default)]
 struct News {
     status: Option<TrainingStatus>,
     stops: u32,
+    last_stop: Option<Instant>,
+}
+
+impl News {
+    /// A signal at `now` asks for a stop, unless it only echoes the one before.
+    fn stop(&mut self, now: Instant) {
+        if self.last_stop.is_some_and(|last| now.saturating_duration_since(last) < ECHO) {
+            return;
+        }
+        self.last_stop = Some(now);
+        self.stops += 1;
+    }
 }
 
 #[derive(Debug, Default)]
@@ -49,26 +65,29 @@ pub(crate) struct Watch {
 }
 
 impl Watch {
-    /// Takes over SIGINT, SIGTERM and SIGHUP from here on.
+    /// Takes over SIGINT, SIGTERM and, unless it was started to ignore it, SIGHUP from here on.
     pub(crate) fn start() -> std::io::Result<Self> {
         let inbox = Arc::new(Inbox::default());
         let (address, learner) = watch::channel(None);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         // Before the thread starts, so that no signal can slip through. A terminal that closes asks for an orderly end too.
+        // Whoever ignores that, as nohup does, wants the run to survive it.
+        let hang_up_counts =
+            !ignores_hang_up(&std::fs::read_to_string("/proc/self/status").unwrap_or_default());
         let (interrupt, terminate, hang_up) = {
             let _inside = runtime.enter();
             (
                 signal(SignalKind::interrupt())?,
                 signal(SignalKind::terminate())?,
-                signal(SignalKind::hangup())?,
+                if hang_up_counts { Some(signal(SignalKind::hangup())?) } else { None },
             )
         };
         let theirs = Arc::clone(&inbox);
         std::thread::Builder::new().name("watch".to_owned()).spawn(move || {
             runtime.block_on(async {
                 tokio::select! {
-                    () = listen(interrupt, &theirs) => {}
-                    () = listen(terminate, &theirs) => {}
+                    () = listen(Some(interrupt), &theirs) => {}
+                    () = listen(Some(terminate), &theirs) => {}
                     () = listen(hang_up, &theirs) => {}
                     () = follow(learner, &theirs) => {}
                 }
@@ -95,10 +114,18 @@ impl Watch {
     }
 }
 
-async fn listen(mut signal: tokio::signal::unix::Signal, inbox: &Inbox) {
+/// Never ends where there is nothing to listen to.
+async fn listen(signal: Option<tokio::signal::unix::Signal>, inbox: &Inbox) {
+    let Some(mut signal) = signal else { return std::future::pending().await };
     while signal.recv().await.is_some() {
-        inbox.put(|news| news.stops += 1);
+        inbox.put(|news| news.stop(Instant::now()));
     }
+}
+
+/// Whether a process with this `/proc/PID/status` ignores SIGHUP: `SigIgn` is a mask in hexadecimal, signal 1 lowest.
+fn ignores_hang_up(status: &str) -> bool {
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 == 1)
 }
 
 /// Follows the learner through its restarts, until this process ends.
@@ -135,5 +162,28 @@ async fn follow_once(address: &str, inbox: &Inbox) -> anyhow::Result<()> {
         if let Some(status) = status {
             inbox.put(|news| news.status = Some(status));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn signals_that_come_together_ask_for_one_stop() {
+        let mut news = News::default();
+        let start = Instant::now();
+        for (milliseconds, stops) in [(0, 1), (0, 1), (999, 1), (1000, 2), (1500, 2), (60_000, 3)] {
+            news.stop(start + Duration::from_millis(milliseconds));
+            assert_eq!(news.stops, stops, "after {milliseconds} ms");
+        }
+    }
+
+    #[test]
+    fn what_nohup_ignores_is_left_alone() {
+        let status = |mask: &str| format!("Name:\tcross\nSigBlk:\t0000000000000001\nSigIgn:\t{mask}\n");
+        assert!(ignores_hang_up(&status("0000000000001001")));
+        assert!(!ignores_hang_up(&status("0000000000001000")));
+        assert!(!ignores_hang_up(""));
     }
 }
