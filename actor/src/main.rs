@@ -2,6 +2,7 @@
 
 use clap::Parser;
 use cross_actor::{Ending, Options, process};
+use std::io::Write;
 use std::process::ExitCode;
 use tokio_util::sync::CancellationToken;
 
@@ -10,13 +11,6 @@ fn main() -> ExitCode {
     let options = Options::parse();
     if let Err(problem) = process::log_to_stderr(options.log_format, &options.log) {
         return fail(2, format_args!("the option --log is not a filter: {problem}"));
-    }
-    if let Some(parent) = options.die_with_parent {
-        match process::die_with_parent(parent) {
-            Ok(true) => {}
-            Ok(false) => return fail(1, format_args!("the process that started this one is gone already")),
-            Err(error) => return fail(1, format_args!("cannot watch the parent process: {error}")),
-        }
     }
     // Two threads for I/O that is little; the work is done by the simulator thread.
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
@@ -48,6 +42,7 @@ fn main() -> ExitCode {
 
 /// The last line of stderr is the error, plain in either log format, for people and for whoever supervises this process.
 fn fail(code: u8, message: std::fmt::Arguments<'_>) -> ExitCode {
-    eprintln!("cross-actor: {message}");
+    // A full disk must change neither the exit code nor how the process ends.
+    let _ = writeln!(std::io::stderr(), "cross-actor: {message}");
     ExitCode::from(code)
 }

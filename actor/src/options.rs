@@ -58,10 +58,6 @@ pub struct Options {
     #[arg(long, value_name = "SECONDS", default_value_t = 10)]
     pub grace_seconds: u64,
 
-    /// End like after SIGTERM when the process that started this one ends; give its id to be safe if it is already gone
-    #[arg(long, value_name = "PID", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
-    pub die_with_parent: Option<u32>,
-
     /// Format of the log on stderr
     #[arg(long, value_enum, default_value_t = LogFormat::Text)]
     pub log_format: LogFormat,
@@ -136,13 +132,6 @@ mod tests {
             assert_eq!(error.exit_code(), 2);
             assert!(error.to_string().starts_with("the option --actor-id "), "{error}");
         }
-    }
-
-    #[test]
-    fn the_parent_may_be_named_or_not() {
-        assert_eq!(parse(&[]).unwrap().die_with_parent, None);
-        assert_eq!(parse(&["--die-with-parent"]).unwrap().die_with_parent, Some(0));
-        assert_eq!(parse(&["--die-with-parent=42"]).unwrap().die_with_parent, Some(42));
     }
 
     #[test]
