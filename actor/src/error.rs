@@ -29,7 +29,7 @@ pub enum ActorError {
         source: std::io::Error,
     },
     /// The file of `--address-file` could not be written.
-    #[error("cannot write the metrics address to {}: {source}", path.display())]
+    #[error("cannot write the metrics address to {}: {source}; name a file that can be written with --address-file", path.display())]
     AddressFile {
         /// File that was asked for.
         path: PathBuf,
@@ -75,7 +75,10 @@ pub enum ActorError {
         scenario: String,
     },
     /// The learner stayed away.
-    #[error("no learner at {learner} for {seconds} s, giving up; the last attempt said: {last}")]
+    #[error(
+        "no learner at {learner} for {seconds} s, the last attempt said: {last}; \
+         start the learner or correct --learner, then start this actor again, with more --give-up-seconds if need be"
+    )]
     GaveUp {
         /// Address of the learner.
         learner: String,
@@ -95,7 +98,10 @@ pub enum ActorError {
         message: String,
     },
     /// SUMO fails at every start.
-    #[error("SUMO failed {failures} times in a row on {scenario}, giving up; the last time: {source}")]
+    #[error(
+        "SUMO failed {failures} times in a row on {scenario}, the last time: {source}; \
+         check the scenario's files and the SUMO installation (--sumo-home), then start this actor again"
+    )]
     SumoKeepsFailing {
         /// Scenario of the last failure.
         scenario: String,
@@ -105,7 +111,10 @@ pub enum ActorError {
         source: Box<cross_sim::SimError>,
     },
     /// The simulation cannot go on, and another SUMO would not help.
-    #[error("cannot simulate {scenario}: {source}")]
+    #[error(
+        "cannot simulate {scenario}: {source}; correct the scenario's files or the run's configuration, \
+         then start this actor again"
+    )]
     Simulation {
         /// Scenario that was being simulated.
         scenario: String,
@@ -136,7 +145,10 @@ pub enum ActorError {
         problem: String,
     },
     /// Something did not end within the grace period.
-    #[error("the actor did not come to a clean end within {seconds} s; its SUMO is killed")]
+    #[error(
+        "the actor did not come to a clean end within {seconds} s and its SUMO is killed; \
+         the learner gives the unfinished episode out again, and a larger --grace-seconds allows more time"
+    )]
     Grace {
         /// Length of the period.
         seconds: u64,

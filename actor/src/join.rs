@@ -58,6 +58,8 @@ pub(crate) enum Attempt {
     NotYet {
         why: String,
         at_least: Duration,
+        /// True if it was the learner who said so.
+        answered: bool,
     },
 }
 
@@ -101,7 +103,7 @@ impl Joiner {
             Ok(channel) => channel,
             Err(error) => {
                 let why = format!("cannot connect ({})", root_cause(&error));
-                return Ok(Attempt::NotYet { why, at_least: Duration::ZERO });
+                return Ok(Attempt::NotYet { why, at_least: Duration::ZERO, answered: false });
             }
         };
         if let Some(session) = known {
@@ -120,7 +122,9 @@ impl Joiner {
             }
             Err(status) => {
                 let at_least = cross_proto::status::retry_delay(&status).unwrap_or_default();
-                return Ok(Attempt::NotYet { why: sentence(&status), at_least });
+                // Only a learner gives reasons; what transports and proxies say on their own has none.
+                let answered = cross_proto::status::reason(&status).is_some();
+                return Ok(Attempt::NotYet { why: sentence(&status), at_least, answered });
             }
         };
         self.joins += 1;

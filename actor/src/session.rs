@@ -178,8 +178,17 @@ impl Network {
         };
         let Joined { client, session } = match attempt {
             Attempt::Joined(joined) => joined,
-            Attempt::NotYet { why, at_least } => return Ok(After::Retry { why, at_least }),
+            Attempt::NotYet { why, at_least, answered } => {
+                if answered {
+                    contact.heard = Instant::now();
+                }
+                return Ok(After::Retry { why, at_least });
+            }
         };
+        if known.is_none() {
+            // It has just been joined.
+            contact.heard = Instant::now();
+        }
         self.adopt(&session);
         let dropped = uplink.open(session.join, session.epoch, session.unacked_fragments);
         self.telemetry.dropped(Dropped::OldSession, dropped);
@@ -191,6 +200,7 @@ impl Network {
                 session.epoch,
                 &self.link.snapshot,
                 &self.telemetry,
+                Backoff::new(self.joiner.jitter_seed()),
             );
             let streaming = stream::Stream {
                 client,
@@ -202,6 +212,7 @@ impl Network {
                 records: &mut self.link.records,
                 telemetry: &self.telemetry,
                 contact,
+                stop: &stop,
             }
             .run();
             let mut streaming = std::pin::pin!(streaming);
@@ -232,6 +243,9 @@ impl Network {
         contact: &mut Contact,
     ) -> Result<After, ActorError> {
         let at_least = cross_proto::status::retry_delay(status).unwrap_or_default();
+        if cross_proto::status::reason(status).is_some() {
+            contact.heard = Instant::now();
+        }
         match cross_proto::status::reason(status) {
             // The lease or the session is over: the next connection joins anew.
             Some(Reason::NotJoined | Reason::Draining) => self.forget_session(),
@@ -265,6 +279,7 @@ impl Network {
             }
             changed
         });
+        self.telemetry.scenarios(session.scenarios.keys());
         self.link.session.send_replace(Some(Arc::clone(session)));
     }
 
@@ -294,9 +309,13 @@ impl Outage {
     /// Logs a failed attempt, loudly if it tells something new.
     fn report(&mut self, learner: &str, why: &str, left: Duration) {
         if self.last.as_deref() == Some(why) {
-            tracing::debug!(learner, "still no learner: {why}");
+            tracing::debug!(learner, "still not working for a learner: {why}");
         } else {
-            tracing::warn!(learner, give_up_seconds = left.as_secs(), "no learner, trying again: {why}");
+            tracing::warn!(
+                learner,
+                give_up_seconds = left.as_secs(),
+                "not working for a learner, trying again: {why}"
+            );
             self.last = Some(why.to_owned());
         }
     }

@@ -12,6 +12,7 @@ use std::time::Duration;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 use tokio_stream::wrappers::ReceiverStream;
+use tokio_util::sync::CancellationToken;
 use tonic::transport::Channel;
 use tonic::{Status, Streaming};
 
@@ -44,6 +45,7 @@ pub(crate) struct Stream<'a> {
     pub(crate) records: &'a mut mpsc::Receiver<(u64, Record)>,
     pub(crate) telemetry: &'a Telemetry,
     pub(crate) contact: &'a mut Contact,
+    pub(crate) stop: &'a CancellationToken,
 }
 
 impl Stream<'_> {
@@ -56,7 +58,11 @@ impl Stream<'_> {
             let _ = sender.try_send(hello);
         }
         let opening = self.client.stream_fragments(ReceiverStream::new(receiver));
-        let inbound = match tokio::time::timeout(HELLO_TIMEOUT, opening).await {
+        let answer = tokio::select! {
+            answer = tokio::time::timeout(HELLO_TIMEOUT, opening) => answer,
+            () = self.stop.cancelled() => return self.flushed(),
+        };
+        let inbound = match answer {
             Ok(Ok(response)) => response.into_inner(),
             Ok(Err(status)) => return StreamEnd::Lost(status),
             Err(_) => return StreamEnd::Lost(Status::deadline_exceeded("no answer to the stream's hello")),
@@ -76,6 +82,7 @@ impl Stream<'_> {
         let mut sender = Some(sender);
         // Set once the simulator has ended.
         let mut flush_until: Option<Instant> = None;
+        let mut stopping = false;
         let mut silence = tokio::time::interval(self.session.heartbeat);
         silence.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
@@ -104,18 +111,29 @@ impl Stream<'_> {
                         silence.reset();
                     }
                 }
-                record = self.records.recv(), if flush_until.is_none() && self.uplink.has_room() => match record {
-                    Some((join, record)) => self.accept(join, record),
-                    None => flush_until = Some(Instant::now() + FLUSH),
-                },
-                _ = silence.tick() => self.uplink.heartbeat(),
-                () = sleep_until(flush_until) => {
-                    let lost = self.uplink.unacked();
-                    self.telemetry.dropped(Dropped::Shutdown, lost);
-                    return StreamEnd::Flushed;
+                // Of an actor that stops only a last fragment and an abort can come, and they must not wait for
+                // acknowledgements that a learner with a full buffer withholds.
+                record = self.records.recv(), if flush_until.is_none() && (stopping || self.uplink.has_room()) => {
+                    match record {
+                        Some((join, record)) => self.accept(join, record),
+                        None => flush_until = Some(Instant::now() + FLUSH),
+                    }
                 }
+                () = self.stop.cancelled(), if !stopping => stopping = true,
+                _ = silence.tick() => self.uplink.heartbeat(),
+                () = sleep_until(flush_until) => return self.flushed(),
             }
         }
+    }
+
+    /// Counts what the learner has not taken when the actor ends.
+    fn flushed(&mut self) -> StreamEnd {
+        let mut lost = self.uplink.unacked();
+        while let Ok((_, record)) = self.records.try_recv() {
+            lost += usize::from(matches!(record, Record::Fragment(_)));
+        }
+        self.telemetry.dropped(Dropped::Shutdown, lost);
+        StreamEnd::Flushed
     }
 
     fn accept(&mut self, join: u64, record: Record) {

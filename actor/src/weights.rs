@@ -1,5 +1,6 @@
 //! Receiving weights: whatever comes in, the simulator finds only the newest complete snapshot.
 
+use crate::backoff::Backoff;
 use crate::link::Snapshot;
 use crate::telemetry::Telemetry;
 use cross_proto::Violation;
@@ -14,35 +15,55 @@ use tonic::transport::Channel;
 const MAX_SNAPSHOT_BYTES: usize = 1 << 30;
 
 /// Keeps the slot at the newest weights of session `epoch`; returns why that ended.
+///
+/// A damaged snapshot costs only its own stream, opened again after a pause of `backoff`: the fragments flow on.
 pub(crate) async fn watch(
     mut client: LearnerClient<Channel>,
     actor_id: &str,
     epoch: u64,
     slot: &watch::Sender<Option<Snapshot>>,
     telemetry: &Telemetry,
+    mut backoff: Backoff,
 ) -> Status {
+    loop {
+        let damage = match receive(&mut client, actor_id, epoch, slot, telemetry, &mut backoff).await {
+            Ok(damage) => damage,
+            Err(status) => return status,
+        };
+        telemetry.snapshot_damaged();
+        let pause = backoff.pause();
+        tracing::warn!(pause_seconds = pause.as_secs_f64(), "asking for the weights again: {damage}");
+        tokio::time::sleep(pause).await;
+    }
+}
+
+/// Receives until a snapshot is damaged, which it describes.
+async fn receive(
+    client: &mut LearnerClient<Channel>,
+    actor_id: &str,
+    epoch: u64,
+    slot: &watch::Sender<Option<Snapshot>>,
+    telemetry: &Telemetry,
+    backoff: &mut Backoff,
+) -> Result<String, Status> {
     let known_version = known_version(slot.borrow().as_ref(), epoch);
     let request = v1::WatchWeightsRequest { actor_id: actor_id.to_owned(), known_version };
-    let mut chunks = match client.watch_weights(request).await {
-        Ok(response) => response.into_inner(),
-        Err(status) => return status,
-    };
+    let mut chunks = client.watch_weights(request).await?.into_inner();
     let mut receiver = Receiver { epoch, assembler: Assembler::new(MAX_SNAPSHOT_BYTES) };
     loop {
-        match chunks.message().await {
-            Ok(Some(chunk)) => match receiver.take(&chunk, slot) {
-                Ok(true) => telemetry.snapshot_received(),
-                Ok(false) => {}
-                Err(violation) => {
-                    telemetry.snapshot_damaged();
-                    return Status::data_loss(format!(
-                        "the snapshot of policy version {} is not usable: {violation}",
-                        chunk.policy_version
-                    ));
-                }
-            },
-            Ok(None) => return Status::unavailable("the learner closed the stream of weights"),
-            Err(status) => return status,
+        let Some(chunk) = chunks.message().await? else {
+            return Err(Status::unavailable("the learner closed the stream of weights"));
+        };
+        match receiver.take(&chunk, slot) {
+            Ok(true) => {
+                telemetry.snapshot_received();
+                backoff.reset();
+            }
+            Ok(false) => {}
+            Err(violation) => {
+                let version = chunk.policy_version;
+                return Ok(format!("the snapshot of policy version {version} is not usable: {violation}"));
+            }
         }
     }
 }

@@ -140,17 +140,33 @@ async fn sigterm_gives_the_episode_back_flushes_and_exits_with_0() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_actor_that_is_to_die_with_its_parent_does() {
-    let world = World::small();
-    let mut learner = Scripted::of(&world).await;
-    let script = r#""$0" --learner "$1" --actor-id one --die-with-parent=$$ & read -r wait"#;
-    let mut parent = tokio::process::Command::new("sh")
-        .args(["-c", script, PROGRAM, &format!("http://{}", learner.address)])
-        .stdin(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut conversation = learner.ready(1).await;
-    parent.kill().await.unwrap();
-    assert!(conversation.heard().await.is_none(), "the actor closes its stream and is gone");
+async fn sigterm_ends_an_actor_whose_learner_withholds_acknowledgements() {
+    let mut running = Running::start().await;
+    let sumo = running.sumo();
+    // The one fragment that may be in flight is, and stays, unacknowledged.
+    kill_process(running.pid(), Signal::TERM).unwrap();
+    let output = running.child.wait_with_output().await.unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let mut aborted = None;
+    while let Some(message) = running.conversation.heard().await {
+        if let v1::stream_fragments_request::Message::EpisodeAborted(said) = message {
+            aborted = Some(said.reason);
+        }
+    }
+    assert_eq!(aborted.as_deref(), Some("SHUTDOWN"), "the episode is given back all the same");
+    assert!(test_kill_process(sumo).is_err(), "SUMO is gone with its owner");
+}
+
+#[test]
+fn a_log_on_a_full_disk_does_not_change_how_the_program_ends() {
+    for (arguments, code) in [
+        (&["--learner", "http://127.0.0.1:1", "--sumo-home", "/nonexistent"][..], 2),
+        // Logs its start and a failed attempt before the error.
+        (&["--learner", "http://127.0.0.1:1", "--give-up-seconds", "1"], 1),
+    ] {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let status =
+            Command::new(PROGRAM).args(arguments).stdin(Stdio::null()).stderr(full).status().unwrap();
+        assert_eq!(status.code(), Some(code), "{arguments:?}");
+    }
 }

@@ -263,22 +263,43 @@ async fn an_episode_unknown_to_the_learner_is_given_up_and_another_asked_for() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_damaged_snapshot_is_never_acted_on() {
+async fn a_damaged_snapshot_is_never_acted_on_and_leaves_the_fragment_stream_alone() {
     let world = World::small();
     let mut damaged = world.snapshot(1);
     damaged.last_mut().unwrap().sha256 = vec![0; 32].into();
     let mut learner = Scripted::start(Ok(world.admission(1)), damaged).await;
     let actor = Actor::of(&learner, "one");
-    let conversation = learner.ready(1).await;
-    // The actor leaves this connection over the damage, and finds sound weights on the next.
+    let mut conversation = learner.ready(1).await;
+    while actor.metric("cross_actor_snapshots_total{outcome=\"damaged\"}").await == 0.0 {
+        tokio::task::yield_now().await;
+    }
+    // The actor asks for the weights again, on the same connection.
     learner.publish(world.snapshot(2));
-    let mut conversation = {
-        drop(conversation);
-        learner.ready(1).await
-    };
     conversation.say(Answer::Assignment(world.assignment(3))).await;
     let fragments = whole_episode(&mut conversation).await;
     assert!(fragments.iter().all(|f| f.policy_version == 2));
+    assert!(learner.conversations.try_recv().is_err(), "the first stream of fragments was enough");
+    assert_eq!(actor.metric("cross_actor_reconnects_total").await, 0.0);
+    conversation.say(Answer::Goodbye(v1::Goodbye { complete: true })).await;
+    assert_eq!(actor.end().await.unwrap(), Ending::Complete);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_learner_that_is_full_counts_as_there() {
+    let world = World::small();
+    let full = status::too_many_actors(1, std::time::Duration::from_millis(400));
+    let mut learner = Scripted::start(Err(full), world.snapshot(1)).await;
+    // Refused for longer than the actor would wait for a learner that is away.
+    let mut actor = Actor::start(&format!("http://{}", learner.address), "one", &["--give-up-seconds", "1"]);
+    let begun = std::time::Instant::now();
+    while begun.elapsed() < std::time::Duration::from_secs(2) {
+        tokio::select! {
+            _ = learner.joins.recv() => {}
+            ended = &mut actor.running => panic!("it gave up: {ended:?}"),
+        }
+    }
+    learner.admit(Ok(world.admission(1)));
+    let conversation = learner.ready(1).await;
     conversation.say(Answer::Goodbye(v1::Goodbye { complete: true })).await;
     assert_eq!(actor.end().await.unwrap(), Ending::Complete);
 }
