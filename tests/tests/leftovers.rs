@@ -10,6 +10,8 @@ use cross_tests::processes::{self, assert_none_left};
 use cross_tests::runs::{Background, Run};
 use cross_tests::wait;
 use rustix::process::Signal;
+use std::path::Path;
+use std::time::Duration;
 
 /// A run with all of its processes up, SUMO included.
 fn whole_run(run: &Run) -> Background<'_> {
@@ -45,13 +47,22 @@ fn after_sigkill_of_cross_nothing_is_left() {
 #[test]
 fn after_a_second_ctrl_c_nothing_is_left() {
     let run = Run::new();
-    let training = whole_run(&run);
-    // Two signals of one kind that arrive together count as one; two kinds are two.
+    let mut training = whole_run(&run);
+    // A learner that stands still cannot end its drain before the second signal.
+    let learner = training.wait_for("cross-learner");
+    assert!(processes::send(learner.pid, Signal::STOP));
     training.send(Signal::INT);
-    training.send(Signal::TERM);
+    let said = Path::new(&run.marker()).join("stderr");
+    wait::until("the first Ctrl-C to be taken in", || {
+        std::fs::read_to_string(&said).unwrap().contains("stopping").then_some(())
+    });
+    // A signal within a second of the one before counts as its echo.
+    std::thread::sleep(Duration::from_millis(1100));
+    training.send(Signal::INT);
     let finished = training.wait();
     assert_none_left(&run.marker());
-    assert!(finished.code.is_some(), "{finished:?}");
+    assert_eq!(finished.code, Some(1), "{finished:?}");
+    finished.assert_sentence(&["killed", "`cross train --resume --run", &run.path().display().to_string()]);
 }
 
 #[test]
