@@ -164,7 +164,7 @@ impl<'a> File<'a> {
 /// Weights of both networks with their metadata.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_policy(actor: &Net, critic: &Net, metadata: &PolicyMetadata) -> Result<Vec<u8>, ModelError> {
     let tensors = actor.params().iter().chain(critic.params().iter()).map(|(name, t)| (name.to_owned(), t));
     write(tensors, &metadata.to_map())
