@@ -77,7 +77,8 @@ impl Config {
             let before = source.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
             let line = before.lines().count() + usize::from(before.is_empty() || before.ends_with('\n'));
             // The parser's own display spreads over five lines and draws; people get one sentence.
-            let message = format!("line {line}: {}", source.message().trim_end());
+            let written = text.lines().nth(line.saturating_sub(1)).unwrap_or_default().trim();
+            let message = format!("line {line}, `{written}`: {}", source.message().trim_end());
             ConfigError::Parse { origin: origin.to_owned(), message }
         })?;
         config.validate()?;
