@@ -159,7 +159,9 @@ impl Admission {
             } else {
                 let furthest = actor.runnable.iter().copied().min_by_key(|&i| (self.supply(i), i));
                 let Some(scenario) = furthest else { continue };
-                if self.supply(scenario) >= self.settings.buffered_steps {
+                // A rescued actor was let through to feed a short scenario: what is in flight there may itself be held.
+                let rescued = self.rescued.as_deref() == Some(id.as_str());
+                if !rescued && self.supply(scenario) >= self.settings.buffered_steps {
                     later.push_back(id);
                     continue;
                 }
