@@ -138,8 +138,8 @@ impl Admission {
     }
 
     /// Gives each actor that asked an episode of the scenario furthest behind its quota. All quotas are equal, so that is
-    /// the scenario with the least supply. While even that one has all it may buffer, the actor waits: an episode begun
-    /// now would only be older when its turn comes.
+    /// the scenario with the least supply. While an update is in progress and even that one has all it may buffer, the
+    /// actor waits: an episode begun now would only be older when its turn comes. The update's end asks again.
     fn assign(&mut self) {
         let last_round_taken = self.progress.updates >= self.settings.updates;
         if self.stopping
@@ -159,9 +159,7 @@ impl Admission {
             } else {
                 let furthest = actor.runnable.iter().copied().min_by_key(|&i| (self.supply(i), i));
                 let Some(scenario) = furthest else { continue };
-                // A rescued actor was let through to feed a short scenario: what is in flight there may itself be held.
-                let rescued = self.rescued.as_deref() == Some(id.as_str());
-                if !rescued && self.supply(scenario) >= self.settings.buffered_steps {
+                if self.is_updating() && self.supply(scenario) >= self.settings.buffered_steps {
                     later.push_back(id);
                     continue;
                 }

@@ -260,18 +260,16 @@ fn a_fragment_over_the_limit_of_unacknowledged_ones_ends_the_stream() {
 }
 
 #[test]
-fn no_episode_begins_while_the_buffer_will_be_full_anyway() {
+fn during_an_update_no_episode_begins_whose_data_would_only_wait() {
     let mut admission = joined(Settings { buffered_steps: 30, ..settings(&["x"]) });
-    admission.pause();
     request(&mut admission, 1).unwrap();
-    episode(&mut admission, 1, "a", "x", 0);
-    assert_eq!(request(&mut admission, 1), None, "a round is there: more would only grow old");
-    let commands = admission.resume();
+    assert!(round(&episode(&mut admission, 1, "a", "x", 0)).is_some());
+    request(&mut admission, 1).unwrap();
+    episode(&mut admission, 1, "a", "x", 1);
+    assert_eq!(request(&mut admission, 1), None, "the next round is there, and this update goes on");
+    let commands = admission.updated(2);
     assert!(round(&commands).is_some());
-    assert!(
-        commands.iter().any(|c| matches!(c, Command::Assign { .. })),
-        "the buffer is empty again: {commands:?}"
-    );
+    assert!(commands.iter().any(|c| matches!(c, Command::Assign { .. })), "its data is taken: {commands:?}");
 }
 
 #[test]
