@@ -4,7 +4,6 @@ use super::Admission;
 use super::buffer::lag;
 use super::episodes::{Episode, Finished, episode_seeds};
 use super::types::{Assignment, Command, Outcome, Round};
-use std::collections::VecDeque;
 
 impl Admission {
     /// Does all that the present state allows. Called after every event.
@@ -138,8 +137,7 @@ impl Admission {
     }
 
     /// Gives each actor that asked an episode of the scenario furthest behind its quota. All quotas are equal, so that is
-    /// the scenario with the least supply. While an update is in progress and even that one has all it may buffer, the
-    /// actor waits: an episode begun now would only be older when its turn comes. The update's end asks again.
+    /// the scenario with the least supply.
     fn assign(&mut self) {
         let last_round_taken = self.progress.updates >= self.settings.updates;
         if self.stopping
@@ -148,7 +146,6 @@ impl Admission {
         {
             return;
         }
-        let mut later = VecDeque::new();
         while let Some(id) = self.requests.pop_front() {
             let Some(actor) = self.actors.get(&id) else { continue };
             let Some(stream) = actor.stream else { continue };
@@ -159,10 +156,6 @@ impl Admission {
             } else {
                 let furthest = actor.runnable.iter().copied().min_by_key(|&i| (self.supply(i), i));
                 let Some(scenario) = furthest else { continue };
-                if self.is_updating() && self.supply(scenario) >= self.settings.buffered_steps {
-                    later.push_back(id);
-                    continue;
-                }
                 let episode = self.progress.next_episode;
                 self.progress.next_episode += 1;
                 (episode, scenario)
@@ -178,7 +171,6 @@ impl Admission {
             let assignment = Assignment { episode, scenario, sumo_seed, action_seed, min_policy_version };
             self.commands.push(Command::Assign { stream, assignment });
         }
-        self.requests = later;
     }
 
     /// Gives an actor's unfinished episode back. What came of it stays valid data, except in serial mode: there the whole

@@ -260,19 +260,6 @@ fn a_fragment_over_the_limit_of_unacknowledged_ones_ends_the_stream() {
 }
 
 #[test]
-fn during_an_update_no_episode_begins_whose_data_would_only_wait() {
-    let mut admission = joined(Settings { buffered_steps: 30, ..settings(&["x"]) });
-    request(&mut admission, 1).unwrap();
-    assert!(round(&episode(&mut admission, 1, "a", "x", 0)).is_some());
-    request(&mut admission, 1).unwrap();
-    episode(&mut admission, 1, "a", "x", 1);
-    assert_eq!(request(&mut admission, 1), None, "the next round is there, and this update goes on");
-    let commands = admission.updated(2);
-    assert!(round(&commands).is_some());
-    assert!(commands.iter().any(|c| matches!(c, Command::Assign { .. })), "its data is taken: {commands:?}");
-}
-
-#[test]
 fn joining_again_ends_the_stream_but_a_healed_connection_loses_nothing() {
     let mut admission = joined(settings(&["x", "y"]));
     request(&mut admission, 1).unwrap();
