@@ -7,6 +7,9 @@ mod evaluate;
 mod failure;
 mod learned;
 mod output;
+// The commands that use it come next to it.
+#[allow(dead_code)]
+mod paper;
 mod policy;
 mod sumo;
 mod train;
