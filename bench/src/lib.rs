@@ -1,0 +1,10 @@
+//! Benchmarks: each measures ours and a baseline side by side, in one process on one machine, and gives a [`Report`].
+//!
+//! One file or folder a benchmark; what they share is the report and a way to tell how far they are. `cross bench` is
+//! their command line.
+
+pub mod progress;
+pub mod report;
+
+pub use progress::Progress;
+pub use report::{Better, Report, Row};
