@@ -18,6 +18,11 @@ async fn fragments_become_an_update_new_weights_a_line_and_a_checkpoint() {
     let mut actor = TestActor::join(&learner, "a").await;
     assert_eq!(actor.joined.policy_version, 1);
     assert_eq!(actor.joined.scenarios[0].layout_hash, support::layout().hash());
+    let mut training = TrainingClient::new(learner.channel().await);
+    let status = training.get_status(v1::GetStatusRequest {}).await.unwrap().into_inner().status.unwrap();
+    let scenario = &status.scenarios[0];
+    assert_eq!((scenario.episode_return, scenario.queue_length), (None, None), "no episode has finished");
+
     let assignment = actor.ask_for_episode().await;
     assert!(assignment.sumo_seed >= 1_000_000);
     for fragment in actor.episode(&learner.config, &assignment).await {
@@ -26,13 +31,15 @@ async fn fragments_become_an_update_new_weights_a_line_and_a_checkpoint() {
     let snapshot = actor.snapshot().await;
     assert_eq!(snapshot.policy_version, 2);
 
-    let mut training = TrainingClient::new(learner.channel().await);
     let id = training.checkpoint_now(v1::CheckpointNowRequest {}).await.unwrap().into_inner().id;
     assert_eq!(id, "000001");
     let status = training.get_status(v1::GetStatusRequest {}).await.unwrap().into_inner().status.unwrap();
     assert_eq!((status.updates, status.updates_wanted, status.policy_version), (1, 3, 2));
     assert_eq!((status.decisions, status.episodes, status.actors), (20, 1, 1));
-    assert!(status.scenarios[0].episode_return < 0.0 && status.losses.contains_key("actor_total"));
+    let scenario = &status.scenarios[0];
+    assert!(scenario.episode_return.is_some_and(|sum| sum < 0.0), "{scenario:?}");
+    assert!(scenario.queue_length.is_some_and(|queue| queue > 0.0), "{scenario:?}");
+    assert!(status.losses.contains_key("actor_total"));
     assert_eq!(status.latest_checkpoint, "000001");
 
     let lines = TestLearner::metrics_lines(run.path());

@@ -56,7 +56,9 @@ fn list_message(scope: &str, message: &DescriptorProto, lines: &mut Vec<String>)
             Type::Message | Type::Enum => field.type_name().to_owned(),
             scalar => scalar.as_str_name().trim_start_matches("TYPE_").to_lowercase(),
         };
-        let oneof = field.oneof_index.map_or("", |index| message.oneof_decl[index as usize].name());
+        // `optional` is a oneof of its own making: the same bytes on the wire, so no part of the promise.
+        let oneof = field.oneof_index.filter(|_| !field.proto3_optional());
+        let oneof = oneof.map_or("", |index| message.oneof_decl[index as usize].name());
         let oneof = if oneof.is_empty() { String::new() } else { format!(" in {oneof}") };
         lines.push(format!("field {name}.{} = {} {label}{kind}{oneof}", field.name(), field.number()));
     }

@@ -186,13 +186,13 @@ fn live_text(status: &TrainingStatus, alive: usize, elapsed: Duration, left: Opt
 }
 
 fn scenario_text(scenario: &cross_proto::v1::ScenarioStatus) -> String {
-    // A finished episode is counted a moment before its figures are there, and no real episode has a return of 0.
-    if scenario.episodes == 0 || (scenario.episode_return == 0.0 && scenario.queue_length == 0.0) {
+    // A finished episode is counted a moment before its figures are there.
+    let (Some(episode_return), Some(queue_length)) = (scenario.episode_return, scenario.queue_length) else {
         return format!("{}: first episodes under way", scenario.name);
-    }
+    };
     format!(
-        "{}: return {:.1}, queue {:.3}, {} episodes",
-        scenario.name, scenario.episode_return, scenario.queue_length, scenario.episodes
+        "{}: return {episode_return:.1}, queue {queue_length:.3}, {} episodes",
+        scenario.name, scenario.episodes
     )
 }
 
@@ -267,8 +267,8 @@ mod tests {
             scenarios: vec![ScenarioStatus {
                 name: "grid4x4".to_owned(),
                 episodes: 24,
-                episode_return: -43.21,
-                queue_length: 0.4217,
+                episode_return: Some(-43.21),
+                queue_length: Some(0.4217),
                 ..Default::default()
             }],
             losses: [("actor_total", 0.5), ("critic_total", 0.25), ("actor_entropy", 1.0)]
@@ -299,8 +299,12 @@ mod tests {
     #[test]
     fn a_scenario_without_a_finished_episode_shows_no_numbers() {
         let mut status = status();
-        status.scenarios[0].episodes = 0;
+        (status.scenarios[0].episode_return, status.scenarios[0].queue_length) = (None, None);
         let text = line(&status, 1, Duration::ZERO, None);
         assert!(text.contains("first episodes under way") && text.contains("1 actor |"), "{text}");
+        // Empty streets give a return of 0, which is a figure like any other.
+        (status.scenarios[0].episode_return, status.scenarios[0].queue_length) = (Some(0.0), Some(0.0));
+        let text = line(&status, 1, Duration::ZERO, None);
+        assert!(text.contains("return 0.0, queue 0.000"), "{text}");
     }
 }

@@ -60,8 +60,8 @@ pub(super) fn status(
             episodes: own.episodes,
             decisions: own.decisions,
             buffered_steps: admission.buffered_steps(i),
-            episode_return: own.episode_return.unwrap_or(0.0),
-            queue_length: own.queue_length.unwrap_or(0.0),
+            episode_return: own.episode_return,
+            queue_length: own.queue_length,
             dropped: dropped(admission, i),
         }
     });

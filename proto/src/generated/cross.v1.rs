@@ -1521,12 +1521,12 @@ pub struct ScenarioStatus {
     pub decisions: u64,
     #[prost(uint64, tag = "4")]
     pub buffered_steps: u64,
-    /// Mean over the agents of the summed raw reward of the newest finished episodes (last round).
-    #[prost(double, tag = "5")]
-    pub episode_return: f64,
-    /// Stopped vehicles within reward range, per incoming lane, mean over the newest finished episodes.
-    #[prost(double, tag = "6")]
-    pub queue_length: f64,
+    /// Mean over the agents of the summed raw reward of the newest finished episodes (last round); absent before the first.
+    #[prost(double, optional, tag = "5")]
+    pub episode_return: ::core::option::Option<f64>,
+    /// Stopped vehicles within reward range, per incoming lane, mean over the newest finished episodes; absent likewise.
+    #[prost(double, optional, tag = "6")]
+    pub queue_length: ::core::option::Option<f64>,
     /// Fragments dropped, by reason.
     #[prost(btree_map = "string, uint64", tag = "7")]
     pub dropped: ::prost::alloc::collections::BTreeMap<
