@@ -59,6 +59,14 @@ reasons! {
     Superseded = "SUPERSEDED", Aborted;
     /// More messages are in flight than the limits allow.
     TooManyInFlight = "TOO_MANY_IN_FLIGHT", ResourceExhausted;
+    /// The call carries no token, or another than the server's.
+    Unauthenticated = "UNAUTHENTICATED", Unauthenticated;
+    /// The caller's address begins more calls than it may; the details say when to come again.
+    TooManyRequests = "TOO_MANY_REQUESTS", ResourceExhausted;
+    /// As many calls as allowed are open already, streams included.
+    TooManyStreams = "TOO_MANY_STREAMS", ResourceExhausted;
+    /// A message is larger than the limit.
+    MessageTooLarge = "MESSAGE_TOO_LARGE", ResourceExhausted;
     /// A field breaks a rule; the details name it.
     InvalidField = "INVALID_FIELD", InvalidArgument;
     /// A message came where the protocol has no place for it.
@@ -83,12 +91,14 @@ impl Reason {
     pub fn heals(self) -> bool {
         match self {
             Self::ProtocolMismatch | Self::ConfigMismatch | Self::NoScenario | Self::Superseded => false,
-            Self::InvalidField
+            Self::Unauthenticated
+            | Self::InvalidField
             | Self::UnexpectedMessage
+            | Self::MessageTooLarge
             | Self::CheckpointNotFound
             | Self::CheckpointUnusable => false,
             Self::Draining | Self::TooManyActors | Self::NotJoined | Self::OldSession => true,
-            Self::TooManyInFlight | Self::Internal => true,
+            Self::TooManyInFlight | Self::TooManyRequests | Self::TooManyStreams | Self::Internal => true,
         }
     }
 }
@@ -158,6 +168,34 @@ pub fn too_many_actors(limit: usize, delay: Duration) -> Status {
         format!("{limit} actors have joined, which is the limit; stop one or raise learner.max_actors");
     let metadata = [("limit".to_owned(), limit.to_string())];
     with_details(Reason::TooManyActors, message, metadata.into(), Some(delay))
+}
+
+/// The caller's address has used up its calls; the next one is free after `delay`.
+#[must_use]
+pub fn too_many_requests(per_second: u32, delay: Duration) -> Status {
+    let message = format!(
+        "this address begins more than {per_second} calls a second; call less often, or raise learner.requests_per_second"
+    );
+    let metadata = [("limit".to_owned(), per_second.to_string())];
+    with_details(Reason::TooManyRequests, message, metadata.into(), Some(delay))
+}
+
+/// The limit on open calls is reached.
+#[must_use]
+pub fn too_many_streams(limit: usize, delay: Duration) -> Status {
+    let message = format!("{limit} calls are open, which is the limit; end one or raise learner.max_streams");
+    let metadata = [("limit".to_owned(), limit.to_string())];
+    with_details(Reason::TooManyStreams, message, metadata.into(), Some(delay))
+}
+
+/// A message is above the limit.
+#[must_use]
+pub fn message_too_large(limit: usize) -> Status {
+    let message = format!(
+        "a message is larger than {limit} bytes; send smaller ones, or raise learner.max_message_bytes"
+    );
+    let metadata = [("limit".to_owned(), limit.to_string())];
+    with_details(Reason::MessageTooLarge, message, metadata.into(), None)
 }
 
 /// There is no checkpoint `id`.
@@ -263,7 +301,8 @@ mod tests {
     #[test]
     fn a_delay_reads_back() {
         let delay = Duration::from_millis(2500);
-        for status in [draining(delay), too_many_actors(3, delay)] {
+        let limits = [too_many_actors(3, delay), too_many_requests(3, delay), too_many_streams(3, delay)];
+        for status in limits.into_iter().chain([draining(delay)]) {
             let status = transmitted(&status);
             assert_eq!(retry_delay(&status), Some(delay));
             assert!(reason(&status).is_some_and(Reason::heals));
