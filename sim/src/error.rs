@@ -5,6 +5,7 @@ use crate::net::NetError;
 use crate::scenario::ScenarioError;
 use crate::signal::ActionError;
 use cross_traci::{LocateError, TraciError};
+use std::path::PathBuf;
 
 /// Failure of the environment.
 #[derive(Debug, thiserror::Error)]
@@ -27,6 +28,39 @@ pub enum SimError {
     /// Actions that cannot be carried out.
     #[error(transparent)]
     Action(#[from] ActionError),
+    /// No file for a signal program of SUMO's.
+    #[error("cannot write the signal programs for SUMO: {source}; free some space or set TMPDIR")]
+    ProgramFile {
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// A phase whose length a signal program of SUMO's would need.
+    #[error(
+        "traffic light {light:?} of the net {} has no duration in seconds for its phase {state:?}, so that SUMO cannot be \
+         given a program for it; add one to the net",
+        path.display()
+    )]
+    ProgramPhase {
+        /// The net.
+        path: PathBuf,
+        /// Traffic light id.
+        light: String,
+        /// State of the phase.
+        state: String,
+    },
+    /// SUMO does not run the signal program that it was given.
+    #[error(
+        "traffic light {light:?} runs the program {running:?} and not {wanted:?}; take signal programs and plans (tlLogic, \
+         WAUT) out of the scenario's additional files"
+    )]
+    ProgramNotRunning {
+        /// Traffic light id.
+        light: String,
+        /// Program that it should run.
+        wanted: String,
+        /// Program that it runs.
+        running: String,
+    },
     /// A step without a running episode.
     #[error("no episode is running; reset the environment first")]
     NotRunning,
@@ -64,6 +98,9 @@ impl SimError {
             Self::Net(_) => "net",
             Self::Layout(_) => "layout",
             Self::Action(_) => "action",
+            Self::ProgramFile { .. } | Self::ProgramPhase { .. } | Self::ProgramNotRunning { .. } => {
+                "program"
+            }
             Self::NotRunning | Self::EpisodeOver { .. } => "no_episode",
         }
     }

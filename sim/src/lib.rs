@@ -17,6 +17,7 @@ pub mod layout;
 pub mod metrics;
 pub mod net;
 pub mod observe;
+pub mod preset;
 pub mod scenario;
 pub mod signal;
 pub mod trajectory;

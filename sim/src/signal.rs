@@ -97,6 +97,16 @@ impl SignalTiming {
         &self.current
     }
 
+    /// Notes what a light shows that somebody else sets: its phase, if it is one; else the phase before stays.
+    pub fn follow(&mut self, agent: usize, state: &str) {
+        let Some(light) = self.lights.get(agent) else { return };
+        // A layout has at most 255 phases an agent.
+        let phase = (0_u8..).zip(&light.green).find(|(_, green)| *green == state);
+        if let (Some((phase, _)), Some(current)) = (phase, self.current.get_mut(agent)) {
+            *current = phase;
+        }
+    }
+
     /// Takes one action, a phase index, for each agent, and says how to get from this decision to the next.
     ///
     /// # Errors
@@ -212,6 +222,17 @@ mod tests {
         let mut timing = SignalTiming::new(&layout(&[&["Gr", "rG"]]), 5, 0);
         let commands: Vec<_> = timing.decide(&[1]).unwrap().collect();
         assert_eq!(commands, [Command::Show { agent: 0, state: "rG" }, Command::Run { seconds: 5 }]);
+    }
+
+    #[test]
+    fn a_light_that_somebody_else_sets_is_followed_from_green_to_green() {
+        let mut timing = two_lights();
+        for (state, phase) in [("rG", 1), ("ry", 1), ("rr", 1), ("gg", 2), ("Gr", 0)] {
+            timing.follow(1, state);
+            assert_eq!(timing.phases(), [0, phase], "{state}");
+        }
+        // A light that does not exist is none of ours.
+        timing.follow(7, "Gr");
     }
 
     #[test]

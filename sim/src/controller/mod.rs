@@ -4,20 +4,24 @@
 //!   Env ── ControllerView (layout, observation, lane counts, step, time) ──> Controller::act ──> one phase per agent ──> Env
 //! ```
 //! [`Controller`] is the one interface: the rules below implement it, a learned policy is wrapped into it, and so is
-//! whatever a user of the library wants to compare (`examples/my_controller.rs` is a whole one).
+//! whatever a user of the library wants to compare (`examples/my_controller.rs` is a whole one). [`Program`] is the
+//! exception: it leaves the lights to SUMO.
 
 mod fixed_time;
 mod greedy;
 mod max_pressure;
 mod names;
+mod program;
 mod random;
 
 pub use fixed_time::FixedTime;
 pub use greedy::Greedy;
 pub use max_pressure::{MaxPressure, Outgoing, Range};
 pub use names::{RuleBased, UnknownPolicy};
+pub use program::Program;
 pub use random::Random;
 
+use crate::env::Signals;
 use crate::lanes::LaneTable;
 use crate::layout::NetworkLayout;
 use crate::trajectory::Observation;
@@ -44,6 +48,11 @@ pub struct ControllerView<'a> {
 pub trait Controller {
     /// Name in tables and reports.
     fn name(&self) -> &str;
+
+    /// Who sets the lights of an episode: this controller, unless it says otherwise.
+    fn signals(&self) -> Signals {
+        Signals::Driven
+    }
 
     /// Forgets the last episode. `seed` is for whatever the controller draws at random: the same seed, the same episode.
     ///

@@ -1,6 +1,7 @@
 //! Rule-based controllers by name, as commands and reports call them.
 
-use super::{Controller, FixedTime, Greedy, MaxPressure, Outgoing, Random, Range};
+use super::{Controller, FixedTime, Greedy, MaxPressure, Outgoing, Program, Random, Range};
+use crate::env::SumoProgram;
 use crate::scenario::{ReferenceMaxPressure, ReferenceOutgoing, ReferenceRange};
 use std::fmt;
 use std::str::FromStr;
@@ -23,6 +24,12 @@ pub enum RuleBased {
     Greedy,
     /// [`Random`].
     Random,
+    /// [`Program`]: what the net has.
+    OwnProgram,
+    /// [`Program`]: SUMO's `actuated`.
+    Actuated,
+    /// [`Program`]: SUMO's `delay_based`.
+    DelayBased,
 }
 
 /// A name that belongs to no rule-based controller.
@@ -35,7 +42,7 @@ pub struct UnknownPolicy {
 
 impl RuleBased {
     /// All of them.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 10] = [
         Self::FixedTime,
         Self::MaxPressure,
         Self::MaxPressureStopped,
@@ -43,6 +50,9 @@ impl RuleBased {
         Self::MaxPressureStopped50m,
         Self::Greedy,
         Self::Random,
+        Self::OwnProgram,
+        Self::Actuated,
+        Self::DelayBased,
     ];
 
     /// The Max-Pressure variants from which the strongest on a scenario is chosen.
@@ -60,6 +70,30 @@ impl RuleBased {
             Self::MaxPressureStopped50m => "max-pressure-stopped-50m",
             Self::Greedy => "greedy",
             Self::Random => "random",
+            Self::OwnProgram => "own-program",
+            Self::Actuated => "actuated",
+            Self::DelayBased => "delay-based",
+        }
+    }
+
+    /// What it does, in a line.
+    #[must_use]
+    pub fn summary(self) -> &'static str {
+        match self {
+            Self::FixedTime => "the next phase at every decision",
+            Self::MaxPressure => "Max-Pressure in the variant that reproduces the scenario's published rows",
+            Self::MaxPressureStopped => {
+                "Max-Pressure: stopped vehicles in less stopped vehicles out, whole lane"
+            }
+            Self::MaxPressureAll => "Max-Pressure: stopped vehicles in less all vehicles out, whole lane",
+            Self::MaxPressureStopped50m => "Max-Pressure: stopped less stopped, last 50 m of each lane",
+            Self::Greedy => "the phase with the most stopped vehicles",
+            Self::Random => "any phase with equal probability",
+            Self::OwnProgram => "the net's own signal program, run by SUMO",
+            Self::Actuated => {
+                "SUMO's actuated program: green goes on while vehicles follow each other closely"
+            }
+            Self::DelayBased => "SUMO's delay_based program: green goes on while delayed vehicles approach",
         }
     }
 
@@ -80,6 +114,9 @@ impl RuleBased {
             Self::MaxPressureStopped50m => Box::new(MaxPressure::new(Outgoing::Stopped, Range::Last50m)),
             Self::Greedy => Box::new(Greedy::default()),
             Self::Random => Box::new(Random::default()),
+            Self::OwnProgram => Box::new(Program(SumoProgram::Own)),
+            Self::Actuated => Box::new(Program(SumoProgram::Actuated)),
+            Self::DelayBased => Box::new(Program(SumoProgram::DelayBased)),
         }
     }
 }
@@ -118,6 +155,7 @@ impl From<ReferenceMaxPressure> for MaxPressure {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::env::Signals;
 
     #[test]
     fn every_name_leads_back_to_its_policy() {
@@ -138,6 +176,15 @@ mod tests {
                 other => other.name(),
             };
             assert_eq!(policy.controller(reference).name(), expected);
+        }
+    }
+
+    #[test]
+    fn only_programs_of_sumo_leave_the_lights_to_it() {
+        for policy in RuleBased::ALL {
+            let programs = [RuleBased::OwnProgram, RuleBased::Actuated, RuleBased::DelayBased];
+            let driven = policy.controller(ReferenceMaxPressure::default()).signals() == Signals::Driven;
+            assert_eq!(driven, !programs.contains(&policy), "{policy}");
         }
     }
 

@@ -5,13 +5,20 @@ use crate::scenario::Scenario;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Everything but the TraCI port, which is chosen at start.
-pub(super) fn arguments(scenario: &Scenario, options: &EnvOptions, seed: u32) -> Vec<OsString> {
+/// Everything but the TraCI port, which is chosen at start. `programs` is a file of signal programs.
+pub(super) fn arguments(
+    scenario: &Scenario,
+    options: &EnvOptions,
+    programs: Option<&Path>,
+    seed: u32,
+) -> Vec<OsString> {
     let mut arguments = Arguments::default();
     arguments.pair("--net-file", &scenario.net);
-    arguments.pair("--route-files", list(&scenario.routes));
-    if !scenario.additional.is_empty() {
-        arguments.pair("--additional-files", list(&scenario.additional));
+    arguments.pair("--route-files", list(scenario.routes.iter().map(PathBuf::as_path)));
+    // SUMO runs the signal program that it loads last, so that ours come after those that a scenario may bring.
+    let additional: Vec<_> = scenario.additional.iter().map(PathBuf::as_path).chain(programs).collect();
+    if !additional.is_empty() {
+        arguments.pair("--additional-files", list(additional));
     }
     arguments.pair("--begin", scenario.begin.to_string());
     arguments.pair("--seed", seed.to_string());
@@ -45,8 +52,8 @@ impl Arguments {
 }
 
 /// SUMO separates files by commas.
-fn list(files: &[PathBuf]) -> OsString {
-    files.iter().map(|path| Path::as_os_str(path)).collect::<Vec<_>>().join(",".as_ref())
+fn list<'p>(files: impl IntoIterator<Item = &'p Path>) -> OsString {
+    files.into_iter().map(Path::as_os_str).collect::<Vec<_>>().join(",".as_ref())
 }
 
 #[cfg(test)]
@@ -79,7 +86,7 @@ mod tests {
 
     #[test]
     fn what_published_numbers_depend_on_is_set() {
-        let arguments = arguments(&scenario(), &EnvOptions::default(), 7);
+        let arguments = arguments(&scenario(), &EnvOptions::default(), None, 7);
         for (option, value) in [
             ("--route-files", "a.rou.xml,b.rou.xml"),
             ("--begin", "25200"),
@@ -96,9 +103,20 @@ mod tests {
     #[test]
     fn trip_records_hold_vehicles_that_never_finished_or_departed() {
         let options = EnvOptions { tripinfo: Some("t.xml".into()), ..EnvOptions::default() };
-        let arguments = arguments(&scenario(), &options, 7);
+        let arguments = arguments(&scenario(), &options, None, 7);
         assert_eq!(value_of(&arguments, "--tripinfo-output"), Some("t.xml"));
         assert_eq!(value_of(&arguments, "--tripinfo-output.write-unfinished"), Some("true"));
         assert_eq!(value_of(&arguments, "--tripinfo-output.write-undeparted"), Some("true"));
+    }
+
+    #[test]
+    fn signal_programs_come_after_the_scenarios_own_additional_files() {
+        let mut scenario = scenario();
+        let programs = Some(Path::new("p.add.xml"));
+        let alone = arguments(&scenario, &EnvOptions::default(), programs, 7);
+        assert_eq!(value_of(&alone, "--additional-files"), Some("p.add.xml"));
+        scenario.additional = vec!["poly.xml".into()];
+        let both = arguments(&scenario, &EnvOptions::default(), programs, 7);
+        assert_eq!(value_of(&both, "--additional-files"), Some("poly.xml,p.add.xml"));
     }
 }

@@ -7,14 +7,20 @@
 //! Between decisions SUMO runs several seconds in one command: to the end of yellow where a phase changes, then to the
 //! next decision. Only an episode that is [observed](Env::step_observed) is simulated second by second; what happens in it
 //! is the same.
+//!
+//! With [`Signals::Program`] SUMO sets the lights itself: a step passes the interval of a decision and looks on. The phase
+//! of an agent is then the green that its light shows or, in between, the one that it showed at an earlier decision.
 
 mod arguments;
 mod observer;
 mod options;
+mod programs;
+mod signals;
 mod simulation;
 
 pub use observer::{SecondObserver, SecondView};
 pub use options::EnvOptions;
+pub use signals::{Signals, SumoProgram};
 
 use crate::error::SimError;
 use crate::lanes::LaneTable;
@@ -24,6 +30,7 @@ use crate::scenario::Scenario;
 use crate::signal::{Command, SignalTiming};
 use crate::trajectory::Observation;
 use cross_traci::{SumoHome, TraciError};
+use programs::ProgramFile;
 use simulation::Simulation;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -55,6 +62,8 @@ pub struct Env {
     layout: Arc<NetworkLayout>,
     anchor: String,
     signals: SignalTiming,
+    /// What SUMO is told about signal programs, where it is told something.
+    programs: Option<ProgramFile>,
     lanes: LaneTable,
     observation: Observation,
     rewards: Vec<f32>,
@@ -68,17 +77,20 @@ impl Env {
     /// Prepares a scenario; SUMO starts at [`reset`](Self::reset).
     ///
     /// # Errors
-    /// [`SimError::Net`] or [`SimError::Layout`] for a net that cannot be controlled.
+    /// [`SimError::Net`] or [`SimError::Layout`] for a net that cannot be controlled, [`SimError::ProgramPhase`] or
+    /// [`SimError::ProgramFile`] if a program of SUMO's cannot be written for it.
     pub fn new(home: &SumoHome, scenario: &Scenario, options: EnvOptions) -> Result<Self, SimError> {
         let (net, layout) = layout::read(scenario, &options.config)?;
         // Any junction will do; the first by name is the same on every machine.
         let anchor = net.junctions.keys().min().cloned().ok_or_else(|| net.without_junctions())?;
         let config = &options.config;
+        let programs = ProgramFile::write(options.signals, &net, &layout)?;
         let mut env = Self {
             home: home.clone(),
             scenario: scenario.clone(),
             anchor,
             signals: SignalTiming::new(&layout, config.decision_seconds, config.yellow_seconds),
+            programs,
             lanes: LaneTable::new(&layout, f64::from(config.reward_range_metres)),
             observation: Observation::default(),
             rewards: vec![0.0; layout.agents()],
@@ -111,11 +123,13 @@ impl Env {
         &self.options
     }
 
-    /// Starts an episode with a SUMO of its own: every agent shows its phase 0 and no vehicle is there yet. An episode
-    /// that is still running is abandoned, its output files unfinished; [`finish`](Self::finish) completes them.
+    /// Starts an episode with a SUMO of its own: every agent shows its phase 0, or what its program begins with, and no
+    /// vehicle is there yet. An episode that is still running is abandoned, its output files unfinished;
+    /// [`finish`](Self::finish) completes them.
     ///
     /// # Errors
-    /// [`SimError::Traci`] if SUMO does not start or refuses the network's signals. The environment can be reset again.
+    /// [`SimError::Traci`] if SUMO does not start or refuses the network's signals, [`SimError::ProgramNotRunning`] if it
+    /// does not run the program it was given. The environment can be reset again.
     pub fn reset(&mut self, seed: u32) -> Result<(), SimError> {
         self.simulation = None;
         self.steps = 0;
@@ -129,11 +143,29 @@ impl Env {
         Ok(())
     }
 
-    fn start(&mut self, seed: u32) -> Result<Simulation, TraciError> {
-        let mut simulation =
-            Simulation::start(&self.home, &self.scenario, &self.options, seed, &self.anchor)?;
+    fn start(&mut self, seed: u32) -> Result<Simulation, SimError> {
+        let programs = self.programs.as_ref().map(ProgramFile::path);
+        let mut simulation = Simulation::start(
+            &self.home,
+            &self.scenario,
+            &self.options,
+            programs.as_deref(),
+            seed,
+            &self.anchor,
+        )?;
         let commands = self.signals.reset();
-        simulation.show(commands.filter_map(|command| shown(&self.layout, command)))?;
+        match self.options.signals {
+            Signals::Driven => {
+                simulation.show(commands.filter_map(|command| shown(&self.layout, command)))?;
+            }
+            Signals::Program(program) => {
+                drop(commands);
+                if let Some(wanted) = program.id() {
+                    programs::check(wanted, &self.layout, &simulation.programs(lights(&self.layout))?)?;
+                }
+                follow(&mut simulation, &self.layout, &mut self.signals)?;
+            }
+        }
         Ok(simulation)
     }
 
@@ -173,7 +205,8 @@ impl Env {
         self.timings
     }
 
-    /// Takes one action, a phase index, for each agent, and simulates to the next decision.
+    /// Takes one action, a phase index, for each agent, and simulates to the next decision. Under a
+    /// [program](Signals::Program) of SUMO's the actions say nothing, and are not looked at.
     ///
     /// # Errors
     /// [`SimError::Action`] for actions that do not exist, [`SimError::NotRunning`] before a reset,
@@ -229,7 +262,13 @@ impl Env {
         let Some(simulation) = &mut self.simulation else { return Err(SimError::NotRunning) };
         let (lanes, timings) = (&mut self.lanes, &mut self.timings);
         let mut states = Vec::new();
-        let commands = self.signals.decide(actions)?;
+        let (decided, passed) = match self.options.signals {
+            Signals::Driven => (Some(self.signals.decide(actions)?), None),
+            Signals::Program(_) => {
+                (None, Some(Command::Run { seconds: self.options.config.decision_seconds }))
+            }
+        };
+        let commands = decided.into_iter().flatten().chain(passed);
         if observer.is_some() {
             timed(&mut timings.traci, || simulation.watch())?;
         }
@@ -250,6 +289,9 @@ impl Env {
             }
         }
         self.time = simulation.time();
+        if let Signals::Program(_) = self.options.signals {
+            timed(&mut timings.traci, || follow(simulation, &self.layout, &mut self.signals))?;
+        }
         if observer.is_none() {
             timed(&mut timings.traci, || simulation.count(lanes))?;
         }
@@ -286,6 +328,24 @@ impl Env {
     pub fn close(mut self) -> Result<(), SimError> {
         self.finish()
     }
+}
+
+/// Ids of the agents' lights.
+fn lights(layout: &NetworkLayout) -> impl Iterator<Item = &str> {
+    layout.intersections.iter().map(|intersection| intersection.id.as_str())
+}
+
+/// Takes the phases over that SUMO's own programs show.
+fn follow(
+    simulation: &mut Simulation,
+    layout: &NetworkLayout,
+    signals: &mut SignalTiming,
+) -> Result<(), TraciError> {
+    let states = simulation.states(lights(layout))?;
+    for agent in 0..states.len() {
+        signals.follow(agent, states.str(agent)?);
+    }
+    Ok(())
 }
 
 fn shown<'a>(layout: &'a NetworkLayout, command: Command<'a>) -> Option<simulation::Shown<'a>> {

@@ -1,5 +1,6 @@
 //! How an environment is run.
 
+use super::Signals;
 use cross_config::EnvConfig;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -9,6 +10,8 @@ use std::time::Duration;
 pub struct EnvOptions {
     /// Decisions, signals, observation, reward.
     pub config: EnvConfig,
+    /// Who sets the traffic lights.
+    pub signals: Signals,
     /// Longest time SUMO may take to start, or to answer one command. A step of a congested city map takes seconds on a
     /// busy machine; only a SUMO that hangs should meet this.
     pub timeout: Duration,
@@ -20,10 +23,16 @@ pub struct EnvOptions {
 }
 
 impl EnvOptions {
-    /// These decisions, a timeout of a minute, no files.
+    /// These decisions taken by whoever steps the environment, a timeout of a minute, no files.
     #[must_use]
     pub fn new(config: EnvConfig) -> Self {
-        Self { config, timeout: Duration::from_secs(60), tripinfo: None, extra_args: Vec::new() }
+        Self {
+            config,
+            signals: Signals::Driven,
+            timeout: Duration::from_secs(60),
+            tripinfo: None,
+            extra_args: Vec::new(),
+        }
     }
 }
 

@@ -9,8 +9,11 @@ use super::EnvOptions;
 use super::arguments::arguments;
 use crate::lanes::LaneTable;
 use crate::scenario::Scenario;
-use cross_traci::constants::{Domain, simulation, vehicle};
-use cross_traci::{DecodeError, ExitReport, Object, Subscription, Sumo, SumoCommand, SumoHome, TraciError};
+use cross_traci::constants::{Domain, simulation, traffic_light, vehicle};
+use cross_traci::{
+    DecodeError, ExitReport, Object, Replies, Subscription, Sumo, SumoCommand, SumoHome, TraciError,
+};
+use std::path::Path;
 
 /// Metres around the anchor junction within which vehicles are reported: no network reaches farther.
 const EVERYWHERE: f64 = 1e7;
@@ -54,15 +57,16 @@ pub(super) struct Events {
 }
 
 impl Simulation {
-    /// Starts SUMO at the scenario's begin.
+    /// Starts SUMO at the scenario's begin, with a file of signal programs if there is one.
     pub(super) fn start(
         home: &SumoHome,
         scenario: &Scenario,
         options: &EnvOptions,
+        programs: Option<&Path>,
         seed: u32,
         anchor: &str,
     ) -> Result<Self, TraciError> {
-        let command = SumoCommand::new().args(arguments(scenario, options, seed));
+        let command = SumoCommand::new().args(arguments(scenario, options, programs, seed));
         let sumo = Sumo::start(home, &command, options.timeout)?;
         Ok(Self { sumo, anchor: anchor.to_owned(), time: f64::from(scenario.begin), watching: false })
     }
@@ -84,6 +88,34 @@ impl Simulation {
         }
         batch.send()?;
         Ok(())
+    }
+
+    /// The state that each of these lights shows, in their order.
+    pub(super) fn states<'l>(
+        &mut self,
+        lights: impl IntoIterator<Item = &'l str>,
+    ) -> Result<Replies<'_>, TraciError> {
+        self.of_lights(traffic_light::RED_YELLOW_GREEN_STATE, lights)
+    }
+
+    /// The program that each of these lights runs, in their order.
+    pub(super) fn programs<'l>(
+        &mut self,
+        lights: impl IntoIterator<Item = &'l str>,
+    ) -> Result<Replies<'_>, TraciError> {
+        self.of_lights(traffic_light::CURRENT_PROGRAM, lights)
+    }
+
+    fn of_lights<'l>(
+        &mut self,
+        variable: u8,
+        lights: impl IntoIterator<Item = &'l str>,
+    ) -> Result<Replies<'_>, TraciError> {
+        let mut batch = self.sumo.client().batch();
+        for light in lights {
+            batch.get(Domain::TrafficLight, variable, light);
+        }
+        batch.send()
     }
 
     /// Lets seconds pass in one command.

@@ -46,6 +46,8 @@ pub struct NetLane {
     pub length: f64,
     /// Speed limit, m/s.
     pub speed: f64,
+    /// Centre line from start to end, metres eastward and northward; empty if the net does not give it.
+    pub shape: Vec<[f64; 2]>,
 }
 
 /// Position of a junction, metres.
@@ -75,6 +77,19 @@ pub struct Program {
     pub id: String,
     /// Signal states in program order, one letter per link index.
     pub states: Vec<String>,
+    /// How long each of these states lasts.
+    pub times: Vec<PhaseTimes>,
+}
+
+/// How long a program shows a state, seconds; what the net does not say is none.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct PhaseTimes {
+    /// What a program without detectors shows it for.
+    pub duration: Option<f64>,
+    /// What one with detectors shows it for at least.
+    pub shortest: Option<f64>,
+    /// What one with detectors shows it for at most.
+    pub longest: Option<f64>,
 }
 
 /// A connection that a traffic light controls.

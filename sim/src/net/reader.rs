@@ -1,6 +1,6 @@
 //! Streaming reader of `.net.xml`.
 
-use super::{Edge, Junction, Link, Net, NetError, NetLane, Program, TrafficLight};
+use super::{Edge, Junction, Link, Net, NetError, NetLane, PhaseTimes, Program, TrafficLight};
 use flate2::bufread::MultiGzDecoder;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
@@ -202,6 +202,20 @@ impl<'p> Builder<'p> {
         }
     }
 
+    /// Positions `x,y` or `x,y,z`, separated by spaces; none if the attribute is missing.
+    fn shape(&self, attributes: &Attributes, element: &str) -> Result<Vec<[f64; 2]>, NetError> {
+        let Some(text) = attributes.get("shape") else { return Ok(Vec::new()) };
+        let position = |position: &str| {
+            let mut coordinates =
+                position.split(',').map(|text| text.parse().ok().filter(|x: &f64| x.is_finite()));
+            Some([coordinates.next()??, coordinates.next()??])
+        };
+        text.split_whitespace().map(position).collect::<Option<_>>().ok_or_else(|| {
+            let id = attributes.get("id").unwrap_or_default();
+            self.content(format!("<{element}> {id:?} has shape={text:?}, which is no list of positions"))
+        })
+    }
+
     fn open_edge(&mut self, attributes: &Attributes) -> Result<(), Fault> {
         let id = self.required(attributes, "id", "edge")?;
         // Internal edges, crossings and walking areas all have ids of this form.
@@ -222,6 +236,7 @@ impl<'p> Builder<'p> {
             id: self.required(attributes, "id", "lane")?,
             length: self.measure(attributes, "length", "lane")?,
             speed: self.measure(attributes, "speed", "lane")?,
+            shape: self.shape(attributes, "lane")?,
         };
         if let Some((_, lanes)) = &mut self.edge {
             lanes.insert(index, lane);
@@ -264,7 +279,11 @@ impl<'p> Builder<'p> {
             self.traffic_lights.push(TrafficLight { id, ..TrafficLight::default() });
         }
         let program = attributes.get("programID").unwrap_or("0").to_owned();
-        self.traffic_lights[light].programs.push(Program { id: program, states: Vec::new() });
+        self.traffic_lights[light].programs.push(Program {
+            id: program,
+            states: Vec::new(),
+            times: Vec::new(),
+        });
         self.program = Some(light);
         Ok(())
     }
@@ -272,6 +291,15 @@ impl<'p> Builder<'p> {
     fn phase(&mut self, attributes: &Attributes) -> Result<(), Fault> {
         let Some(light) = self.program else { return Ok(()) };
         let state = self.required(attributes, "state", "phase")?;
+        // Only SUMO's own programs need these; who sets the signals himself can do with a net that has odd ones.
+        let seconds = |key| {
+            attributes.get(key)?.trim().parse().ok().filter(|time: &f64| time.is_finite() && *time > 0.0)
+        };
+        let times = PhaseTimes {
+            duration: seconds("duration"),
+            shortest: seconds("minDur"),
+            longest: seconds("maxDur"),
+        };
         let light = &self.traffic_lights[light];
         if let Some(letter) = state.chars().find(|letter| !"rugGysoO".contains(*letter)) {
             let what =
@@ -281,6 +309,7 @@ impl<'p> Builder<'p> {
         let index = self.light_of_id[&light.id];
         if let Some(program) = self.traffic_lights[index].programs.last_mut() {
             program.states.push(state);
+            program.times.push(times);
         }
         Ok(())
     }

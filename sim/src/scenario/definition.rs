@@ -87,8 +87,24 @@ impl Default for SumoOptions {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Reference {
+    /// Benchmark whose map it is, or is like; none for a network of one's own.
+    pub benchmark: Option<Benchmark>,
     /// Variant of Max-Pressure that reproduces the paper's row.
     pub max_pressure: ReferenceMaxPressure,
+}
+
+/// Where a map comes from. Benchmarks have protocols of their own: [`Preset`](crate::preset::Preset).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Benchmark {
+    /// RESCO (Ault and Sharon, 2021).
+    Resco,
+    /// RESCO's arterial4x4, which it took from MA2C and decides upon twice as often as on its other maps.
+    RescoArterial,
+    /// MA2C (Chu et al., 2019).
+    Ma2c,
+    /// CityFlow's data sets.
+    Cityflow,
 }
 
 /// A variant of Max-Pressure: what counts against a phase on its outgoing lanes, and how far detectors reach.

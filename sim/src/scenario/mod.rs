@@ -11,7 +11,9 @@ mod error;
 mod search;
 
 pub use arrivals::Arrivals;
-pub use definition::{Reference, ReferenceMaxPressure, ReferenceOutgoing, ReferenceRange, SumoOptions};
+pub use definition::{
+    Benchmark, Reference, ReferenceMaxPressure, ReferenceOutgoing, ReferenceRange, SumoOptions,
+};
 pub use error::{PinMismatch, ScenarioError};
 pub use search::{DEFINITION_FILE, SCENARIOS_VARIABLE, ScenarioEntry, ScenarioPath, place_for};
 
