@@ -1,14 +1,15 @@
 //! What an evaluation found, as one JSON document.
 
-use super::Setting;
+use super::details::Details;
+use super::{Setting, format::Format};
 use crate::layout::NetworkLayout;
+use crate::metrics::keyed::{self, Keyed};
 use crate::metrics::{EpisodeMetrics, Metric, Moments};
 use cross_config::Detection;
-use serde::ser::SerializeMap;
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 /// Everything besides the policy and the seeds on which the numbers depend.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Protocol {
     /// Seconds between two decisions.
     pub interval_seconds: u32,
@@ -60,7 +61,7 @@ impl Protocol {
 }
 
 /// A metric over the seeds of an evaluation.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SeedSummary {
     /// Mean of the episodes' means.
     pub mean: f64,
@@ -71,7 +72,7 @@ pub struct SeedSummary {
 }
 
 /// Mean number of vehicles of an episode, by what became of them.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MeanVehicles {
     /// Reached their destination.
     pub finished: f64,
@@ -84,8 +85,11 @@ pub struct MeanVehicles {
 }
 
 /// A policy on a scenario: one episode for each seed, and their means.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+///
+/// It reads back what it wrote. Members that this version does not know are passed over; a missing one is an error.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EvalReport {
+    format: Format,
     /// Scenario name.
     pub scenario: String,
     /// Policy, by the name it was asked for.
@@ -97,8 +101,8 @@ pub struct EvalReport {
     /// SUMO seeds, ascending.
     pub seeds: Vec<u32>,
     /// Each metric over the seeds, in the order of [`Metric::ALL`].
-    #[serde(serialize_with = "as_map")]
-    metrics: [SeedSummary; Metric::ALL.len()],
+    #[serde(with = "keyed")]
+    metrics: Keyed<SeedSummary>,
     /// Vehicles by what became of them, means over the seeds.
     pub vehicles: MeanVehicles,
     /// Mean over seeds of [`EpisodeMetrics::episode_return`].
@@ -107,6 +111,9 @@ pub struct EvalReport {
     pub gridlocked_seeds: Vec<u32>,
     /// The episodes, in the order of the seeds.
     pub per_seed: Vec<EpisodeMetrics>,
+    /// What a report page draws, if it was asked for: [`Setting::details`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub details: Option<Details>,
 }
 
 impl EvalReport {
@@ -131,6 +138,7 @@ impl EvalReport {
             ),
         });
         Self {
+            format: Format,
             scenario,
             policy,
             controller,
@@ -150,7 +158,47 @@ impl EvalReport {
                 .map(|episode| episode.seed)
                 .collect(),
             per_seed,
+            details: None,
         }
+    }
+
+    /// The same report with details, whose seeds are put in order.
+    #[must_use]
+    pub fn with_details(self, mut details: Details) -> Self {
+        details.seeds.sort_by_key(|seed| seed.seed);
+        Self { details: Some(details), ..self }
+    }
+
+    /// Joins reports of different seeds of one policy on one scenario to one report of all of them; `None` without any.
+    /// What seeds have in common is taken from the first. There are details only if all reports have some.
+    #[must_use]
+    pub fn join(reports: impl IntoIterator<Item = Self>) -> Option<Self> {
+        let mut reports = reports.into_iter();
+        let Self { scenario, policy, controller, protocol, mut per_seed, mut details, .. } =
+            reports.next()?;
+        for report in reports {
+            per_seed.extend(report.per_seed);
+            details = match (details, report.details) {
+                (Some(mut details), Some(more)) => {
+                    details.seeds.extend(more.seeds);
+                    Some(details)
+                }
+                _ => None,
+            };
+        }
+        let joined = Self::new(scenario, policy, controller, protocol, per_seed);
+        Some(match details {
+            Some(details) => joined.with_details(details),
+            None => joined,
+        })
+    }
+
+    /// Reads a document that [`to_json`](Self::to_json) wrote.
+    ///
+    /// # Errors
+    /// What is missing or wrong, and where.
+    pub fn from_json(text: &str) -> Result<Self, serde_json::Error> {
+        serde_json::from_str(text)
     }
 
     /// One metric over the seeds.
@@ -182,20 +230,10 @@ fn sample_deviation(moments: Moments) -> f64 {
     }
 }
 
-fn as_map<S: Serializer>(
-    metrics: &[SeedSummary; Metric::ALL.len()],
-    serializer: S,
-) -> Result<S::Ok, S::Error> {
-    let mut map = serializer.serialize_map(Some(metrics.len()))?;
-    for (metric, value) in Metric::ALL.iter().zip(metrics) {
-        map.serialize_entry(metric.key(), value)?;
-    }
-    map.end()
-}
-
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::evaluate::details::{NetworkDrawing, SeedDetails, Series, Trips};
     use crate::metrics::{SecondMeter, TripTotals};
     use std::path::Path;
 
@@ -274,5 +312,63 @@ pub(super) mod tests {
         assert_eq!(json["protocol"]["detection"], "default");
         assert_eq!(json["per_seed"][1]["seed"], 2);
         assert_eq!(json["per_seed"][1]["metrics"]["trip_delay"]["mean"], 2.0);
+    }
+
+    fn details(seeds: &[u32]) -> Details {
+        let of = |&seed: &u32| SeedDetails {
+            seed,
+            series: Series { interval_seconds: 10, speed: vec![0.1 + 0.2, 1.0 / 3.0], ..Series::default() },
+            trips: Trips { never_inserted: vec![f64::from(seed)], ..Trips::default() },
+            intersections: Vec::new(),
+        };
+        Details { network: NetworkDrawing::default(), seeds: seeds.iter().map(of).collect() }
+    }
+
+    #[test]
+    fn a_report_reads_back_the_same_with_and_without_details() {
+        let plain = report("grid4x4", "greedy", &[1.0, 2.0 / 3.0]);
+        let detailed = plain.clone().with_details(details(&[2, 1]));
+        for report in [plain, detailed] {
+            let json = report.to_json();
+            let read = EvalReport::from_json(&json).unwrap();
+            assert_eq!(read, report);
+            assert_eq!(read.to_json(), json);
+            assert_eq!(json.contains("\"details\""), report.details.is_some());
+        }
+    }
+
+    #[test]
+    fn what_a_newer_version_adds_is_passed_over_and_what_is_missing_is_named() {
+        let report = report("grid4x4", "greedy", &[1.0]);
+        let json = report.to_json();
+        let newer = json.replace("\"policy\":", "\"noise\": {\"mean\": [1]}, \"policy\":");
+        assert_eq!(EvalReport::from_json(&newer).unwrap(), report);
+        for (from, to, words) in [
+            ("\"format\": 1,", "\"format\": 2,", "format 2"),
+            ("\"format\": 1,", "", "`format`"),
+            ("\"net_hash\": \"aa\",", "", "`net_hash`"),
+            ("\"trip_delay\":", "\"trip_decay\":", "`trip_delay`"),
+            ("\"seeds\": [", "\"seeds\": [-1,", "-1"),
+        ] {
+            assert!(json.contains(from), "{from} in {json}");
+            let error = EvalReport::from_json(&json.replace(from, to)).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        }
+    }
+
+    #[test]
+    fn reports_of_single_seeds_join_to_one_of_all_seeds() {
+        let whole = report("s", "p", &[10.0, 20.0, 30.0]);
+        let single = |seed: usize| {
+            let episodes = vec![whole.per_seed[seed].clone()];
+            EvalReport::new("s".to_owned(), "p".to_owned(), "p".to_owned(), protocol(), episodes)
+        };
+        assert_eq!(EvalReport::join([single(2), single(0), single(1)]).unwrap(), whole);
+        assert_eq!(EvalReport::join([]), None);
+        let detailed = |seed: usize| single(seed).with_details(details(&[whole.seeds[seed]]));
+        let joined = EvalReport::join([detailed(1), detailed(2), detailed(0)]).unwrap();
+        assert_eq!(joined, whole.clone().with_details(details(&[1, 2, 3])));
+        // Details of some seeds alone would pass for those of all.
+        assert_eq!(EvalReport::join([detailed(0), single(1)]).unwrap().details, None);
     }
 }

@@ -1,12 +1,12 @@
 //! Several episodes at a time.
 
-use super::episode::evaluate;
+use super::details::{Details, NetworkDrawing};
+use super::episode::{Episode, evaluate};
 use super::report::{EvalReport, Protocol};
 use super::{EvaluateError, Setting};
 use crate::controller::{Controller, ControllerError};
 use crate::error::SimError;
-use crate::layout::load_layout;
-use crate::metrics::EpisodeMetrics;
+use crate::layout;
 use std::ops::ControlFlow;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -46,7 +46,7 @@ pub fn evaluate_seeds(
     progress: &(dyn Fn(SeedProgress) -> ControlFlow<()> + Sync),
 ) -> Result<EvalReport, EvaluateError> {
     check(seeds)?;
-    let layout = load_layout(setting.scenario, setting.env)?;
+    let (net, layout) = layout::read(setting.scenario, setting.env)?;
     let version = setting.home.version().map_err(SimError::from)?;
     let job = Job {
         setting,
@@ -71,16 +71,22 @@ pub fn evaluate_seeds(
     // A worker that panicked has made the scope panic, so that no lock is poisoned here.
     let Outcome { episodes, controller, error } =
         job.outcome.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-    match error {
-        Some(error) => Err(error),
-        None => Ok(EvalReport::new(
-            setting.scenario.name.clone(),
-            policy.to_owned(),
-            controller,
-            Protocol::new(setting, &layout, version),
-            episodes,
-        )),
+    if let Some(error) = error {
+        return Err(error);
     }
+    let (metrics, details): (_, Vec<_>) =
+        episodes.into_iter().map(|episode| (episode.metrics, episode.details)).unzip();
+    let report = EvalReport::new(
+        setting.scenario.name.clone(),
+        policy.to_owned(),
+        controller,
+        Protocol::new(setting, &layout, version),
+        metrics,
+    );
+    Ok(match details.into_iter().collect() {
+        Some(seeds) => report.with_details(Details { network: NetworkDrawing::new(&net, &layout), seeds }),
+        None => report,
+    })
 }
 
 fn check(seeds: &[u32]) -> Result<(), EvaluateError> {
@@ -109,7 +115,7 @@ struct Job<'j> {
 
 #[derive(Default)]
 struct Outcome {
-    episodes: Vec<EpisodeMetrics>,
+    episodes: Vec<Episode>,
     controller: String,
     error: Option<EvaluateError>,
 }
@@ -136,10 +142,10 @@ impl Job<'_> {
                     episodes: self.seeds.len(),
                 })
             };
-            let metrics = evaluate(self.setting, controller.as_mut(), seed, &mut progress)?;
+            let episode = evaluate(self.setting, controller.as_mut(), seed, &mut progress)?;
             self.finished.fetch_add(1, Ordering::Relaxed);
             let mut outcome = self.lock();
-            outcome.episodes.push(metrics);
+            outcome.episodes.push(episode);
             if outcome.controller.is_empty() {
                 outcome.controller = controller.name().to_owned();
             }

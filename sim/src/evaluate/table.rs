@@ -5,15 +5,18 @@ use crate::metrics::{Better, Metric};
 use std::fmt::Write;
 
 /// Metrics that a table shows, papers' six first.
-const SHOWN: [Metric; 8] = [
+const SHOWN: [Metric; 11] = [
     Metric::QueueLength,
     Metric::Speed,
     Metric::TripCompletionRate,
     Metric::TripTime,
     Metric::TripDelay,
     Metric::TripDuration,
+    Metric::WaitingTime,
     Metric::TimeLoss,
     Metric::Stops,
+    Metric::Co2,
+    Metric::Fuel,
 ];
 
 /// A table for each scenario: one column for each of its reports, one row for each metric; the best value of a row bears

@@ -1,14 +1,14 @@
 //! The metrics of one episode together.
 
+use super::keyed::{self, Keyed};
 use super::metric::Metric;
 use super::moments::MeanStd;
 use super::seconds::SecondMeter;
 use super::trips::TripTotals;
-use serde::ser::SerializeMap;
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 /// How many vehicles there were, by what became of them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Vehicles {
     /// Reached their destination.
     pub finished: u64,
@@ -21,13 +21,13 @@ pub struct Vehicles {
 }
 
 /// What one episode amounted to.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeMetrics {
     /// SUMO's seed.
     pub seed: u32,
     /// Mean and deviation of each metric, in the order of [`Metric::ALL`].
-    #[serde(serialize_with = "as_map")]
-    metrics: [MeanStd; Metric::ALL.len()],
+    #[serde(with = "keyed")]
+    metrics: Keyed<MeanStd>,
     /// Vehicles by what became of them.
     pub vehicles: Vehicles,
     /// Sum of the rewards of an agent over the episode, mean over agents: what training maximises.
@@ -48,9 +48,12 @@ impl EpisodeMetrics {
             Metric::TripDelay => trips.trip_delay(),
             Metric::TripDuration => trips.trip_duration(),
             Metric::FinishedTripTime => trips.finished_trip_time(),
+            Metric::WaitingTime => trips.waiting_time(),
             Metric::TimeLoss => trips.time_loss(),
             Metric::Stops => trips.stops(),
             Metric::DepartDelay => trips.depart_delay(),
+            Metric::Co2 => trips.co2(),
+            Metric::Fuel => trips.fuel(),
         });
         Self {
             seed,
@@ -72,14 +75,6 @@ impl EpisodeMetrics {
         // The array holds the metrics in declaration order, which is that of `Metric::ALL`.
         self.metrics[metric as usize]
     }
-}
-
-fn as_map<S: Serializer>(metrics: &[MeanStd; Metric::ALL.len()], serializer: S) -> Result<S::Ok, S::Error> {
-    let mut map = serializer.serialize_map(Some(metrics.len()))?;
-    for (metric, value) in Metric::ALL.iter().zip(metrics) {
-        map.serialize_entry(metric.key(), value)?;
-    }
-    map.end()
 }
 
 #[cfg(test)]
@@ -108,5 +103,30 @@ mod tests {
         assert_eq!(json["episode_return"], -1.5);
         assert_eq!(json["vehicles"]["never_inserted"], 0);
         assert_eq!(json["gridlock"], false);
+    }
+
+    #[test]
+    fn json_reads_back_the_same_and_is_checked() {
+        let text = "<tripinfos><tripinfo depart=\"0\" arrival=\"0.3\" duration=\"0.1\" waitingTime=\"0.7\" \
+                    waitingCount=\"1\" timeLoss=\"0.123456789012345\" departDelay=\"3\"/></tripinfos>";
+        let trips = TripTotals::parse(text.as_bytes(), Path::new("t.xml")).unwrap();
+        let episode = EpisodeMetrics::new(3, &SecondMeter::default(), &trips, -1.0 / 3.0);
+        let json = serde_json::to_string(&episode).unwrap();
+        assert_eq!(serde_json::from_str::<EpisodeMetrics>(&json).unwrap(), episode);
+        let newer = json.replace("\"metrics\":{", "\"metrics\":{\"noise\":{\"mean\":1},");
+        assert_eq!(
+            serde_json::from_str::<EpisodeMetrics>(&newer).unwrap(),
+            episode,
+            "unknown metrics are no matter"
+        );
+        for (from, to, words) in [
+            ("\"co2\":", "\"co3\":", "`co2` is missing"),
+            ("\"fuel\":", "\"co2\":", "`co2` is there twice"),
+            ("\"metrics\":{", "\"metrics\":[],\"old\":{", "an object with a member for each metric"),
+            ("\"seed\":3,", "", "`seed`"),
+        ] {
+            let error = serde_json::from_str::<EpisodeMetrics>(&json.replace(from, to)).unwrap_err();
+            assert!(error.to_string().contains(words), "{error}");
+        }
     }
 }

@@ -1,4 +1,6 @@
-//! The list of metrics: key, name, unit and better direction of each.
+//! The list of metrics: key, name, unit, better direction, formula and source of each.
+
+use super::definition::{self, Definition};
 
 /// Which way a metric improves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,12 +28,18 @@ pub enum Metric {
     TripDuration,
     /// Time in the network of the vehicles that arrived.
     FinishedTripTime,
+    /// Time of waiting to enter and of standing, over all vehicles.
+    WaitingTime,
     /// Time lost against driving as fast as allowed.
     TimeLoss,
     /// Times of coming to stand.
     Stops,
     /// Time of waiting to enter.
     DepartDelay,
+    /// Carbon dioxide given off.
+    Co2,
+    /// Fuel used.
+    Fuel,
 }
 
 impl Metric {
@@ -46,7 +54,7 @@ impl Metric {
     ];
 
     /// All metrics.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 13] = [
         Self::QueueLength,
         Self::Speed,
         Self::TripCompletionRate,
@@ -54,60 +62,68 @@ impl Metric {
         Self::TripDelay,
         Self::TripDuration,
         Self::FinishedTripTime,
+        Self::WaitingTime,
         Self::TimeLoss,
         Self::Stops,
         Self::DepartDelay,
+        Self::Co2,
+        Self::Fuel,
     ];
+
+    /// What it is, in words.
+    #[must_use]
+    pub fn definition(self) -> &'static Definition {
+        match self {
+            Self::QueueLength => &definition::QUEUE_LENGTH,
+            Self::Speed => &definition::SPEED,
+            Self::TripCompletionRate => &definition::TRIP_COMPLETION_RATE,
+            Self::TripTime => &definition::TRIP_TIME,
+            Self::TripDelay => &definition::TRIP_DELAY,
+            Self::TripDuration => &definition::TRIP_DURATION,
+            Self::FinishedTripTime => &definition::FINISHED_TRIP_TIME,
+            Self::WaitingTime => &definition::WAITING_TIME,
+            Self::TimeLoss => &definition::TIME_LOSS,
+            Self::Stops => &definition::STOPS,
+            Self::DepartDelay => &definition::DEPART_DELAY,
+            Self::Co2 => &definition::CO2,
+            Self::Fuel => &definition::FUEL,
+        }
+    }
+
+    /// The metric with this key.
+    #[must_use]
+    pub fn from_key(key: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|metric| metric.key() == key)
+    }
 
     /// Key in JSON.
     #[must_use]
     pub fn key(self) -> &'static str {
-        match self {
-            Self::QueueLength => "queue_length",
-            Self::Speed => "speed",
-            Self::TripCompletionRate => "trip_completion_rate",
-            Self::TripTime => "trip_time",
-            Self::TripDelay => "trip_delay",
-            Self::TripDuration => "trip_duration",
-            Self::FinishedTripTime => "finished_trip_time",
-            Self::TimeLoss => "time_loss",
-            Self::Stops => "stops",
-            Self::DepartDelay => "depart_delay",
-        }
+        self.definition().key
     }
 
     /// Name in tables.
     #[must_use]
     pub fn name(self) -> &'static str {
-        match self {
-            Self::QueueLength => "queue length",
-            Self::Speed => "speed",
-            Self::TripCompletionRate => "trip completion rate",
-            Self::TripTime => "trip time",
-            Self::TripDelay => "trip delay",
-            Self::TripDuration => "trip duration",
-            Self::FinishedTripTime => "finished trip time",
-            Self::TimeLoss => "time loss",
-            Self::Stops => "stops",
-            Self::DepartDelay => "depart delay",
-        }
+        self.definition().name
     }
 
     /// Unit in tables.
     #[must_use]
     pub fn unit(self) -> &'static str {
-        match self {
-            Self::QueueLength => "veh",
-            Self::Speed => "m/s",
-            Self::TripCompletionRate => "veh/s",
-            Self::Stops => "1",
-            Self::TripTime
-            | Self::TripDelay
-            | Self::TripDuration
-            | Self::FinishedTripTime
-            | Self::TimeLoss
-            | Self::DepartDelay => "s",
-        }
+        self.definition().unit
+    }
+
+    /// What its mean is the mean of.
+    #[must_use]
+    pub fn formula(self) -> &'static str {
+        self.definition().formula
+    }
+
+    /// What of SUMO's it is computed from.
+    #[must_use]
+    pub fn source(self) -> &'static str {
+        self.definition().source
     }
 
     /// Which way it improves.

@@ -1,37 +1,12 @@
-//! What is measured of each vehicle: SUMO's tripinfo output, folded into totals as it is read.
-//!
-//! The file must have been written with `--tripinfo-output.write-unfinished` and `--tripinfo-output.write-undeparted`;
-//! without them the vehicles that fared worst would be missing from every mean.
+//! What is measured of each vehicle, folded into totals as SUMO's trip output is read.
 
 use super::moments::{MeanStd, Moments};
-use quick_xml::Reader;
-use quick_xml::events::{BytesStart, Event};
-use std::fs::File;
-use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
+use super::tripinfo::{Emissions, Fate, Trip, TripInfoError, parse_trips, read_trips};
+use std::io::BufRead;
+use std::path::Path;
 
-/// A tripinfo file that cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum TripInfoError {
-    /// It could not be read.
-    #[error("cannot read SUMO's trip output {}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the operating system said.
-        source: std::io::Error,
-    },
-    /// It is not the whole and valid XML file that SUMO writes when it ends well.
-    #[error("SUMO's trip output {} is broken near byte {position}: {problem}; run the episode again", path.display())]
-    Malformed {
-        /// The file.
-        path: PathBuf,
-        /// Where reading stopped.
-        position: u64,
-        /// What is wrong there.
-        problem: String,
-    },
-}
+/// SUMO writes emissions in milligrams.
+const MILLIGRAMS_PER_GRAM: f64 = 1000.0;
 
 /// Totals over the vehicles of one episode.
 #[derive(Debug, Clone, Default)]
@@ -46,7 +21,10 @@ pub struct TripTotals {
     time_loss: Moments,
     stops: Moments,
     depart_delay: Moments,
+    waiting: Moments,
     duration: Moments,
+    co2: Moments,
+    fuel: Moments,
 }
 
 impl TripTotals {
@@ -55,9 +33,9 @@ impl TripTotals {
     /// # Errors
     /// [`TripInfoError`] names the file, and where and how it is malformed or cut off.
     pub fn read(path: &Path) -> Result<Self, TripInfoError> {
-        let file =
-            File::open(path).map_err(|source| TripInfoError::Read { path: path.to_owned(), source })?;
-        Self::parse(BufReader::new(file), path)
+        let mut totals = Self::default();
+        read_trips(path, &mut |trip| totals.add(trip))?;
+        Ok(totals)
     }
 
     /// As [`TripTotals::read`], from any text; `path` is how errors call it.
@@ -65,63 +43,13 @@ impl TripTotals {
     /// # Errors
     /// As [`TripTotals::read`].
     pub fn parse(text: impl BufRead, path: &Path) -> Result<Self, TripInfoError> {
-        let mut reader = Reader::from_reader(text);
-        let mut buffer = Vec::new();
         let mut totals = Self::default();
-        let mut open: usize = 0;
-        let mut complete = false;
-        let malformed = |position: u64, problem: String| TripInfoError::Malformed {
-            path: path.to_owned(),
-            position,
-            problem,
-        };
-        loop {
-            buffer.clear();
-            let event = match reader.read_event_into(&mut buffer) {
-                Ok(event) => event,
-                Err(quick_xml::Error::Io(source)) => {
-                    let source = std::io::Error::new(source.kind(), source);
-                    return Err(TripInfoError::Read { path: path.to_owned(), source });
-                }
-                Err(error) => return Err(malformed(reader.error_position(), error.to_string())),
-            };
-            // Vehicles are the root's children; with emissions asked for, they have children of their own.
-            let (element, empty) = match &event {
-                Event::Start(element) => (element, false),
-                Event::Empty(element) => (element, true),
-                Event::End(_) => {
-                    open -= 1;
-                    complete = open == 0;
-                    continue;
-                }
-                Event::Eof => break,
-                _ => continue,
-            };
-            let name = element.name();
-            match (open, name.as_ref()) {
-                (0, "tripinfos") if !complete => complete = empty,
-                (0, other) => {
-                    let problem = format!("<{other}> stands where only one <tripinfos> belongs");
-                    return Err(malformed(reader.buffer_position(), problem));
-                }
-                (1, "tripinfo") => {
-                    let trip = Trip::parse(element)
-                        .map_err(|problem| malformed(reader.buffer_position(), problem))?;
-                    totals.add(&trip);
-                }
-                // Persons, containers, emissions: none of them is a vehicle.
-                _ => {}
-            }
-            open += usize::from(!empty);
-        }
-        if complete {
-            Ok(totals)
-        } else {
-            Err(malformed(reader.buffer_position(), "it ends before </tripinfos>".to_owned()))
-        }
+        parse_trips(text, path, &mut |trip| totals.add(trip))?;
+        Ok(totals)
     }
 
-    fn add(&mut self, trip: &Trip) {
+    /// Takes one vehicle in.
+    pub fn add(&mut self, trip: &Trip) {
         match trip.fate() {
             Fate::NotDue => {
                 self.not_due += 1;
@@ -130,6 +58,7 @@ impl TripTotals {
             Fate::NeverInserted => {
                 self.never_inserted += 1;
                 self.depart_delay.add(trip.depart_delay);
+                self.waiting.add(trip.depart_delay);
                 self.duration.add(trip.depart_delay);
                 return;
             }
@@ -144,7 +73,12 @@ impl TripTotals {
         self.time_loss.add(trip.time_loss);
         self.stops.add(trip.stops);
         self.depart_delay.add(trip.depart_delay);
+        self.waiting.add(trip.depart_delay + trip.waiting_time);
         self.duration.add(trip.duration);
+        if let Some(Emissions { co2, fuel }) = trip.emissions {
+            self.co2.add(co2 / MILLIGRAMS_PER_GRAM);
+            self.fuel.add(fuel / MILLIGRAMS_PER_GRAM);
+        }
     }
 
     /// Vehicles that reached their destination.
@@ -212,69 +146,22 @@ impl TripTotals {
     pub fn trip_duration(&self) -> MeanStd {
         self.duration.mean_std()
     }
-}
-
-/// How a vehicle fared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Fate {
-    Finished,
-    Unfinished,
-    NeverInserted,
-    NotDue,
-}
-
-/// The attributes of one vehicle that matter here, seconds unless said.
-#[derive(Debug, Default)]
-struct Trip {
-    depart: f64,
-    arrival: f64,
-    duration: f64,
-    waiting_time: f64,
-    time_loss: f64,
-    depart_delay: f64,
-    /// Number of halts.
-    stops: f64,
-}
-
-impl Trip {
-    fn parse(element: &BytesStart<'_>) -> Result<Self, String> {
-        let mut trip = Self::default();
-        let mut missing: Vec<&str> =
-            vec!["depart", "arrival", "duration", "waitingTime", "timeLoss", "departDelay", "waitingCount"];
-        // SUMO never writes one twice, and looking for that costs time on each of thousands of vehicles.
-        for attribute in element.attributes().with_checks(false) {
-            let attribute = attribute.map_err(|error| error.to_string())?;
-            let field = match attribute.key.as_ref() {
-                "depart" => &mut trip.depart,
-                "arrival" => &mut trip.arrival,
-                "duration" => &mut trip.duration,
-                "waitingTime" => &mut trip.waiting_time,
-                "timeLoss" => &mut trip.time_loss,
-                "departDelay" => &mut trip.depart_delay,
-                "waitingCount" => &mut trip.stops,
-                _ => continue,
-            };
-            *field =
-                attribute.value.trim().parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(
-                    || format!("{}={:?} is not a number", attribute.key.as_ref(), attribute.value),
-                )?;
-            missing.retain(|name| *name != attribute.key.as_ref());
-        }
-        match missing.first() {
-            None => Ok(trip),
-            Some(name) => Err(format!("a vehicle has no {name}")),
-        }
+    /// Seconds of waiting, outside the network to enter it and standing inside it, over all vehicles.
+    #[must_use]
+    pub fn waiting_time(&self) -> MeanStd {
+        self.waiting.mean_std()
     }
 
-    fn fate(&self) -> Fate {
-        // SUMO writes -1 for a moment that never came.
-        if self.depart < 0.0 {
-            if self.depart_delay > 0.0 { Fate::NeverInserted } else { Fate::NotDue }
-        } else if self.arrival < 0.0 {
-            Fate::Unfinished
-        } else {
-            Fate::Finished
-        }
+    /// Grams of carbon dioxide until arrival or the end, over the vehicles that entered and have SUMO's emissions device.
+    #[must_use]
+    pub fn co2(&self) -> MeanStd {
+        self.co2.mean_std()
+    }
+
+    /// Grams of fuel, over the same vehicles.
+    #[must_use]
+    pub fn fuel(&self) -> MeanStd {
+        self.fuel.mean_std()
     }
 }
 
@@ -320,6 +207,35 @@ mod tests {
         assert_eq!(totals.stops(), MeanStd { mean: 2.0, std: 0.0 });
         assert_eq!(totals.trip_duration().mean, 300.0);
         assert!((totals.depart_delay().mean - 520.0 / 3.0).abs() < 1e-9);
+        // 10 inside; 20 outside and 50 inside; 500 outside.
+        assert!((totals.waiting_time().mean - 580.0 / 3.0).abs() < 1e-9);
+        assert_eq!(totals.co2(), MeanStd::default(), "nothing measured them");
+    }
+
+    #[test]
+    fn emissions_are_those_of_the_vehicles_that_entered() {
+        let emits = |trip: String, co2: f64| {
+            let emissions = format!("<emissions CO_abs=\"9\" CO2_abs=\"{co2}\" fuel_abs=\"{}\"/>", co2 / 4.0);
+            trip.replace("/>", &format!("> {emissions} <x/> </tripinfo>"))
+        };
+        let totals = parse(&file(&[
+            emits(trip(0.0, 100.0, 100.0, 10.0, 0.0), 3000.0),
+            emits(trip(50.0, -1.0, 300.0, 50.0, 20.0), 1000.0),
+            emits(trip(-1.0, -1.0, 0.0, 0.0, 500.0), 0.0),
+            // One without the device.
+            trip(0.0, 100.0, 100.0, 10.0, 0.0),
+        ]))
+        .unwrap();
+        assert_eq!(totals.co2(), MeanStd { mean: 2.0, std: 1.0 });
+        assert_eq!(totals.fuel(), MeanStd { mean: 0.5, std: 0.25 });
+        assert_eq!(totals.finished(), 2);
+        let bad = emits(trip(0.0, 9.0, 9.0, 1.0, 0.0), 1.0);
+        for (from, to, word) in
+            [("CO2_abs=\"1\"", "", "CO2_abs"), ("fuel_abs=\"0.25\"", "fuel_abs=\"much\"", "much")]
+        {
+            let error = parse(&file(&[bad.replace(from, to)])).unwrap_err();
+            assert!(error.contains(word), "{error}");
+        }
     }
 
     #[test]
@@ -333,8 +249,8 @@ mod tests {
 
     #[test]
     fn children_and_other_elements_are_not_vehicles() {
-        let with_child = trip(0.0, 9.0, 9.0, 1.0, 0.0).replace("/>", "><emissions CO_abs=\"1\"/></tripinfo>");
-        let person = "<personinfo id=\"p\"><ride><tripinfo/></ride></personinfo>".to_owned();
+        let with_child = trip(0.0, 9.0, 9.0, 1.0, 0.0).replace("/>", "><battery Pmax=\"1\"/></tripinfo>");
+        let person = "<personinfo id=\"p\"><ride><tripinfo/><emissions/></ride></personinfo>".to_owned();
         assert_eq!(parse(&file(&[with_child, person])).unwrap().finished(), 1);
     }
 
@@ -391,7 +307,7 @@ mod tests {
 
         #[test]
         fn tags_in_any_order_never_panic(parts in prop::collection::vec(
-            prop::sample::select(vec!["<tripinfos>", "</tripinfos>", "<tripinfo", "/>", ">", "depart=\"1\"", "<!--", "-->", "&x;", "</", "\""]),
+            prop::sample::select(vec!["<tripinfos>", "</tripinfos>", "<tripinfo", "</tripinfo>", "<emissions", "/>", ">", "depart=\"1\"", "<!--", "-->", "&x;", "</", "\""]),
             0..30,
         )) {
             let _ = parse(&parts.join(" "));
