@@ -1,0 +1,139 @@
+//! What a failed handshake means, in a sentence for the person who has to mend it.
+
+use std::error::Error;
+use tokio_rustls::rustls::{self, AlertDescription, CertificateError};
+
+/// Why the certificate check with the server at `address` failed; `None` if that is not what `error` is about.
+///
+/// Trying again does not help with any of these until somebody has changed a file.
+#[must_use]
+pub fn of_server(error: &(dyn Error + 'static), address: &str) -> Option<String> {
+    use rustls::Error as Tls;
+    let found = find(error)?;
+    Some(match found {
+        Tls::InvalidCertificate(problem) => server_certificate(problem, address),
+        Tls::AlertReceived(AlertDescription::CertificateRequired) => {
+            format!("{address} takes only clients with a certificate; give --tls-cert and --tls-key")
+        }
+        Tls::AlertReceived(AlertDescription::CertificateExpired) => {
+            format!(
+                "{address} finds the certificate of --tls-cert expired; renew it, or set the clocks right"
+            )
+        }
+        Tls::AlertReceived(
+            AlertDescription::UnknownCA
+            | AlertDescription::BadCertificate
+            | AlertDescription::CertificateUnknown
+            | AlertDescription::UnsupportedCertificate
+            | AlertDescription::DecryptError
+            | AlertDescription::AccessDenied,
+        ) => format!(
+            "{address} does not accept the certificate of --tls-cert; use one that an authority in the server's \
+             --tls-client-ca signed for clients"
+        ),
+        Tls::InvalidMessage(_) => format!(
+            "{address} does not speak TLS; use http://, or start the server with --tls-cert and --tls-key"
+        ),
+        _ => return None,
+    })
+}
+
+fn server_certificate(problem: &CertificateError, address: &str) -> String {
+    match problem {
+        CertificateError::Expired | CertificateError::ExpiredContext { .. } => {
+            format!("the certificate of {address} has expired; renew it, or set this machine's clock right")
+        }
+        CertificateError::NotValidYet | CertificateError::NotValidYetContext { .. } => {
+            format!("the certificate of {address} is not valid yet; set this machine's clock right")
+        }
+        CertificateError::UnknownIssuer => format!(
+            "the certificate of {address} is not signed by an authority in --tls-ca; give the one that signed it"
+        ),
+        CertificateError::BadSignature => format!(
+            "the certificate of {address} names an authority in --tls-ca, but that one's key did not sign it; \
+             give the authority's present certificate"
+        ),
+        CertificateError::NotValidForName => format!(
+            "the certificate of {address} is for another host; connect by a name that it holds, or issue it for this one"
+        ),
+        CertificateError::NotValidForNameContext { presented, .. } => format!(
+            "the certificate of {address} is for {}; connect by such a name, or issue it for this host",
+            if presented.is_empty() { "no host at all".to_owned() } else { presented.join(", ") }
+        ),
+        other => format!("the certificate of {address} cannot be used: {other}"),
+    }
+}
+
+/// Why a client's handshake failed, for the server's log.
+pub(crate) fn of_client(error: &(dyn Error + 'static)) -> String {
+    use rustls::Error as Tls;
+    match find(error) {
+        Some(Tls::NoCertificatesPresented) => {
+            "it shows no certificate, and --tls-client-ca asks for one".to_owned()
+        }
+        Some(Tls::InvalidCertificate(CertificateError::UnknownIssuer)) => {
+            "its certificate is not signed by an authority in --tls-client-ca".to_owned()
+        }
+        Some(Tls::InvalidCertificate(
+            CertificateError::Expired | CertificateError::ExpiredContext { .. },
+        )) => "its certificate has expired".to_owned(),
+        Some(Tls::InvalidCertificate(problem)) => format!("its certificate cannot be used: {problem}"),
+        Some(Tls::AlertReceived(alert)) => format!("it refuses this server's certificate ({alert:?})"),
+        Some(Tls::InvalidMessage(_)) => "it does not speak TLS".to_owned(),
+        Some(other) => other.to_string(),
+        None => error.to_string(),
+    }
+}
+
+/// The TLS error inside whatever wraps it.
+fn find<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a rustls::Error> {
+    let mut next = Some(error);
+    while let Some(error) = next {
+        if let Some(found) = error.downcast_ref::<rustls::Error>() {
+            return Some(found);
+        }
+        // Its source is the source of what it wraps, so that one would be passed over.
+        if let Some(inner) = error.downcast_ref::<std::io::Error>().and_then(std::io::Error::get_ref)
+            && let Some(found) = find(inner)
+        {
+            return Some(found);
+        }
+        next = error.source();
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io;
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("transport error")]
+    struct Wrapped(#[source] io::Error);
+
+    fn wrapped(error: rustls::Error) -> Wrapped {
+        Wrapped(io::Error::new(io::ErrorKind::InvalidData, error))
+    }
+
+    #[test]
+    fn each_cause_has_its_own_sentence_however_deep_it_lies() {
+        let cases = [
+            (CertificateError::Expired.into(), "has expired"),
+            (CertificateError::UnknownIssuer.into(), "--tls-ca"),
+            (CertificateError::NotValidForName.into(), "another host"),
+            (rustls::Error::AlertReceived(AlertDescription::CertificateRequired), "--tls-cert and --tls-key"),
+            (rustls::Error::AlertReceived(AlertDescription::UnknownCA), "--tls-client-ca"),
+        ];
+        for (error, words) in cases {
+            let sentence = of_server(&wrapped(error), "learner:7400").unwrap();
+            assert!(sentence.contains("learner:7400") && sentence.contains(words), "{sentence}");
+        }
+    }
+
+    #[test]
+    fn a_broken_connection_is_no_question_of_certificates() {
+        assert_eq!(of_server(&Wrapped(io::ErrorKind::ConnectionReset.into()), "a:1"), None);
+        assert_eq!(of_server(&wrapped(rustls::Error::HandshakeNotComplete), "a:1"), None);
+    }
+}
