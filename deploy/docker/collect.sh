@@ -1,0 +1,82 @@
+#!/usr/bin/env bash
+# Collects from a built checkout what the images hold, and nothing else: deploy/docker/collect.sh DESTINATION
+#
+#   DESTINATION/learner   programs, libtorch, scenarios with their nets
+#   DESTINATION/actor     what an actor needs besides: its program and SUMO with its libraries
+#
+# The layout is the checkout's, because the programs look for libtorch, SUMO and scenarios relative to themselves.
+# Programs are stripped: symbols are nine tenths of them.
+set -euo pipefail
+
+if [ $# -ne 1 ]; then
+    echo "usage: deploy/docker/collect.sh DESTINATION" >&2
+    exit 2
+fi
+root="$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)"
+release="${CARGO_TARGET_DIR:-$root/target}/release"
+for needed in "$release/cross" "$release/cross-learner" "$release/cross-actor" "$root/.deps/sumo/sumo/bin/sumo" "$root/.deps/libtorch/torch/lib/libtorch_cpu.so"; do
+    if [ ! -e "$needed" ]; then
+        echo "error: $needed is missing; run make build first (the images take SUMO and libtorch from .deps/)" >&2
+        exit 1
+    fi
+done
+destination="$1"
+rm -rf "$destination"
+mkdir -p "$destination"
+destination="$(cd "$destination" && pwd)"
+
+program() {
+    local to="$destination/$1/opt/cross/target/release"
+    mkdir -p "$to"
+    cp "$release/$2" "$to/$2"
+    strip --strip-all "$to/$2"
+}
+
+# Paths of the shared libraries that a file needs, of those whose path matches a pattern.
+libraries() {
+    ldd "$1" | awk '$2 == "=>" && $3 ~ /^\// { print $3 }' | sort -u
+}
+
+echo "collecting the learner: programs, libtorch, scenarios"
+program learner cross
+program learner cross-learner
+deps="$destination/learner/opt/cross/.deps"
+for library in $(libraries "$release/cross-learner" | while read -r path; do realpath -s "$path"; done); do
+    case "$library" in
+    "$root"/.deps/libtorch/*)
+        # The name that the loader asks for is kept, also where it is a link.
+        at="$deps/${library#"$root"/.deps/}"
+        mkdir -p "$(dirname "$at")"
+        cp -L "$library" "$at"
+        ;;
+    esac
+done
+# Nets and demand of everything that set-up fetched, and the generated scenarios, so that no container has to write there.
+cp -r "$root/.deps/resco" "$deps/"
+cp -r "$root/scenarios" "$destination/learner/opt/cross/"
+for scenario in grid5x5 grid5x5-heavy; do
+    "$release/cross" scenario fetch "$scenario" >&2
+done
+cp -r "$root/.deps/generated" "$deps/"
+if [ -d "$root/.deps/scenarios" ]; then cp -r "$root/.deps/scenarios" "$deps/"; fi
+
+echo "collecting the actor: its program, SUMO"
+program actor cross-actor
+sumo="$destination/actor/opt/cross/.deps/sumo"
+mkdir -p "$sumo/sumo/bin" "$sumo/eclipse_sumo.libs" "$sumo/system" "$sumo/sumo/data"
+for tool in sumo netconvert; do
+    cp "$root/.deps/sumo/sumo/bin/$tool" "$sumo/sumo/bin/"
+    for library in $(libraries "$root/.deps/sumo/sumo/bin/$tool"); do
+        case "$library" in
+        */eclipse_sumo.libs/*) cp -Ln "$library" "$sumo/eclipse_sumo.libs/" ;;
+        # The C and C++ runtime is the base image's; X11 and GL, which SUMO links and never calls here, come along as
+        # bare libraries, because Debian's packages of them bring a compiler of shaders.
+        */libc.so*|*/libm.so*|*/libdl.so*|*/librt.so*|*/libpthread.so*|*/libutil.so*|*/libresolv.so*|*/libstdc++.so*|*/libgcc_s.so*|*/ld-linux*) ;;
+        *) cp -Ln "$library" "$sumo/system/" ;;
+        esac
+    done
+done
+for data in typemap xsd; do
+    if [ -d "$root/.deps/sumo/sumo/data/$data" ]; then cp -r "$root/.deps/sumo/sumo/data/$data" "$sumo/sumo/data/"; fi
+done
+du -sh "$destination/learner" "$destination/actor"
