@@ -78,6 +78,7 @@ fn run(
         .map_err(|source| EvaluateError::Folder { source })?;
     let trips = folder.path().join("tripinfo.xml");
     let options = EnvOptions {
+        signals: controller.signals(),
         timeout: setting.timeout,
         tripinfo: Some(trips.clone()),
         extra_args: EMISSIONS.map(str::to_owned).to_vec(),

@@ -11,6 +11,8 @@ use serde::{Deserialize, Serialize};
 /// Everything besides the policy and the seeds on which the numbers depend.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Protocol {
+    /// Whose protocol it is: a [preset](crate::preset::Preset)'s name, or `custom`.
+    pub preset: String,
     /// Seconds between two decisions.
     pub interval_seconds: u32,
     /// Seconds of yellow at a change of phase, inside the interval.
@@ -43,6 +45,7 @@ impl Protocol {
     pub(super) fn new(setting: &Setting<'_>, layout: &NetworkLayout, sumo_version: String) -> Self {
         let Setting { scenario, env, .. } = setting;
         Self {
+            preset: crate::preset::name_of(env).to_owned(),
             interval_seconds: env.decision_seconds,
             yellow_seconds: env.yellow_seconds,
             begin_seconds: scenario.begin,
@@ -239,6 +242,7 @@ pub(super) mod tests {
 
     fn protocol() -> Protocol {
         Protocol {
+            preset: "paper".to_owned(),
             interval_seconds: 10,
             yellow_seconds: 3,
             begin_seconds: 0,

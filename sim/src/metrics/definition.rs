@@ -87,6 +87,13 @@ pub(super) const TIME_LOSS: Definition = Definition {
     formula: "mean over entered vehicles of the time lost against driving as fast as allowed",
     source: "tripinfo timeLoss",
 };
+pub(super) const TOTAL_DELAY: Definition = Definition {
+    key: "total_delay",
+    name: "total delay",
+    unit: "s",
+    formula: "mean over all vehicles of the wait to enter plus the time loss; RESCO's delay",
+    source: "tripinfo departDelay + timeLoss",
+};
 pub(super) const STOPS: Definition = Definition {
     key: "stops",
     name: "stops",

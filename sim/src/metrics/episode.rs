@@ -50,6 +50,7 @@ impl EpisodeMetrics {
             Metric::FinishedTripTime => trips.finished_trip_time(),
             Metric::WaitingTime => trips.waiting_time(),
             Metric::TimeLoss => trips.time_loss(),
+            Metric::TotalDelay => trips.total_delay(),
             Metric::Stops => trips.stops(),
             Metric::DepartDelay => trips.depart_delay(),
             Metric::Co2 => trips.co2(),

@@ -32,6 +32,8 @@ pub enum Metric {
     WaitingTime,
     /// Time lost against driving as fast as allowed.
     TimeLoss,
+    /// Time lost, waiting to enter included, over all vehicles.
+    TotalDelay,
     /// Times of coming to stand.
     Stops,
     /// Time of waiting to enter.
@@ -54,7 +56,7 @@ impl Metric {
     ];
 
     /// All metrics.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::QueueLength,
         Self::Speed,
         Self::TripCompletionRate,
@@ -64,6 +66,7 @@ impl Metric {
         Self::FinishedTripTime,
         Self::WaitingTime,
         Self::TimeLoss,
+        Self::TotalDelay,
         Self::Stops,
         Self::DepartDelay,
         Self::Co2,
@@ -83,6 +86,7 @@ impl Metric {
             Self::FinishedTripTime => &definition::FINISHED_TRIP_TIME,
             Self::WaitingTime => &definition::WAITING_TIME,
             Self::TimeLoss => &definition::TIME_LOSS,
+            Self::TotalDelay => &definition::TOTAL_DELAY,
             Self::Stops => &definition::STOPS,
             Self::DepartDelay => &definition::DEPART_DELAY,
             Self::Co2 => &definition::CO2,

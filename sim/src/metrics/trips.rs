@@ -22,6 +22,7 @@ pub struct TripTotals {
     stops: Moments,
     depart_delay: Moments,
     waiting: Moments,
+    total_delay: Moments,
     duration: Moments,
     co2: Moments,
     fuel: Moments,
@@ -59,6 +60,7 @@ impl TripTotals {
                 self.never_inserted += 1;
                 self.depart_delay.add(trip.depart_delay);
                 self.waiting.add(trip.depart_delay);
+                self.total_delay.add(trip.depart_delay);
                 self.duration.add(trip.depart_delay);
                 return;
             }
@@ -74,6 +76,7 @@ impl TripTotals {
         self.stops.add(trip.stops);
         self.depart_delay.add(trip.depart_delay);
         self.waiting.add(trip.depart_delay + trip.waiting_time);
+        self.total_delay.add(trip.depart_delay + trip.time_loss);
         self.duration.add(trip.duration);
         if let Some(Emissions { co2, fuel }) = trip.emissions {
             self.co2.add(co2 / MILLIGRAMS_PER_GRAM);
@@ -152,6 +155,12 @@ impl TripTotals {
         self.waiting.mean_std()
     }
 
+    /// Seconds of waiting to enter the network and lost inside it, over all vehicles.
+    #[must_use]
+    pub fn total_delay(&self) -> MeanStd {
+        self.total_delay.mean_std()
+    }
+
     /// Grams of carbon dioxide until arrival or the end, over the vehicles that entered and have SUMO's emissions device.
     #[must_use]
     pub fn co2(&self) -> MeanStd {
@@ -209,6 +218,8 @@ mod tests {
         assert!((totals.depart_delay().mean - 520.0 / 3.0).abs() < 1e-9);
         // 10 inside; 20 outside and 50 inside; 500 outside.
         assert!((totals.waiting_time().mean - 580.0 / 3.0).abs() < 1e-9);
+        // 11 inside; 20 outside and 51 inside; 500 outside.
+        assert!((totals.total_delay().mean - 582.0 / 3.0).abs() < 1e-9);
         assert_eq!(totals.co2(), MeanStd::default(), "nothing measured them");
     }
 
