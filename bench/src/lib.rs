@@ -3,8 +3,13 @@
 //! One file or folder a benchmark; what they share is the report and a way to tell how far they are. `cross bench` is
 //! their command line.
 
+pub mod error;
+pub mod memory;
+pub mod plain;
 pub mod progress;
 pub mod report;
+pub mod update;
 
+pub use error::BenchError;
 pub use progress::Progress;
 pub use report::{Better, Report, Row};

@@ -31,6 +31,8 @@ from safetensors.torch import save_file
 torch.set_num_threads(1)
 torch.set_default_dtype(torch.float64)
 
+# Whether a draw too close to an edge, where rounding would decide, stops the program: for fixtures, not for timing.
+STRICT = True
 MAX_ROADS = 7
 ADAM_STEPS = 3
 SEQUENCE_STEPS = 2
@@ -383,7 +385,7 @@ class Network:
         if alpha is not None:
             out["alpha"] = alpha
             real = self.gate_margin[x["phase_mask"]].min().item()
-            assert real > 1e-5, f"experts too close to call ({real}): take another seed"
+            assert real > 1e-5 or not STRICT, f"experts too close to call ({real}): take another seed"
         out["scores"] = self.linear("head", out["h_moe"])[..., 0]
         return out
 
@@ -443,7 +445,7 @@ def losses(config, network, out, x, target):
         kappa = torch.exp(log_p.gather(2, target["actions"][..., None])[..., 0] - target["log_probs"])
         low, high = 1 - ppo["clip_ratio"], 1 + ppo["clip_ratio"]
         margin = torch.minimum((kappa - low).abs(), (kappa - high).abs()).min().item()
-        assert margin > 1e-5, f"a ratio too close to the clip range's edge ({margin}): take another seed"
+        assert margin > 1e-5 or not STRICT, f"a ratio too close to the clip range's edge ({margin}): take another seed"
         a = target["advantages"]
         terms = {"policy": -torch.minimum(kappa * a, kappa.clamp(low, high) * a).mean()}
         terms["entropy"] = entropy(log_p.exp()).mean()

@@ -40,10 +40,10 @@ impl Bench {
         let report = match &self.command {
             Command::Update(command) => command.run(&progress)?,
         };
-        if self.json {
-            output::json(&report)?;
-        } else {
-            output::text(&report.table())?;
+        match report {
+            Some(report) if self.json => output::json(&report)?,
+            Some(report) => output::text(&report.table())?,
+            None => {}
         }
         Ok(ExitCode::SUCCESS)
     }
