@@ -4,10 +4,51 @@ use crate::env::EnvConfig;
 use crate::error::{ConfigError, in_range};
 use serde::{Deserialize, Serialize};
 
+/// Where the learner computes its updates. Actors always act on the CPU.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ComputeDevice {
+    /// CUDA if libtorch has it and a device is there, else the CPU. The CPU in serial mode, which must repeat exactly.
+    #[default]
+    Auto,
+    /// The CPU.
+    Cpu,
+    /// The first CUDA device; refused where there is none.
+    Cuda,
+}
+
+/// What the large matrix products of an update are computed in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// Single precision.
+    #[default]
+    F32,
+    /// bfloat16 in the linear layers; weights, gradients of weights and Adam's moments stay in single precision.
+    Bf16,
+}
+
+impl std::str::FromStr for ComputeDevice {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            "cpu" => Ok(Self::Cpu),
+            "cuda" => Ok(Self::Cuda),
+            _ => Err("it must be auto, cpu or cuda".to_owned()),
+        }
+    }
+}
+
 /// The learner process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LearnerConfig {
+    /// Where updates are computed: `auto`, `cpu` or `cuda`.
+    pub device: ComputeDevice,
+    /// Precision of the large matrix products: `f32` or `bf16`.
+    pub precision: Precision,
     /// Lock-step mode: one actor, no collection during an update, repeats bit for bit.
     pub serial: bool,
     /// Most policy versions that a fragment may be behind; older ones are dropped and counted.
@@ -20,6 +61,12 @@ pub struct LearnerConfig {
     pub keep_checkpoints: usize,
     /// Most actors at a time.
     pub max_actors: usize,
+    /// Most connections of any client at a time; more are closed at once.
+    pub max_connections: usize,
+    /// Most calls open at a time, streams included: an actor has two.
+    pub max_streams: usize,
+    /// Calls that one address may begin a second, on average; ten seconds' worth at once.
+    pub requests_per_second: u32,
     /// Largest gRPC message, bytes.
     pub max_message_bytes: usize,
     /// Seconds without a message of an actor (it sends heartbeats) after which its lease ends.
@@ -31,12 +78,17 @@ pub struct LearnerConfig {
 impl Default for LearnerConfig {
     fn default() -> Self {
         Self {
+            device: ComputeDevice::Auto,
+            precision: Precision::F32,
             serial: false,
             max_policy_lag: 4,
             buffered_rounds: 1,
             checkpoint_updates: 10,
             keep_checkpoints: 5,
             max_actors: 1024,
+            max_connections: 4096,
+            max_streams: 8192,
+            requests_per_second: 200,
             max_message_bytes: 16 * 1024 * 1024,
             lease_seconds: 30,
             drain_seconds: 60,
@@ -51,6 +103,9 @@ impl LearnerConfig {
         in_range("learner.checkpoint_updates", self.checkpoint_updates, 1, 1_000_000)?;
         in_range("learner.keep_checkpoints", self.keep_checkpoints, 1, 1_000_000)?;
         in_range("learner.max_actors", self.max_actors, 1, 1_000_000)?;
+        in_range("learner.max_connections", self.max_connections, 1, 1_000_000)?;
+        in_range("learner.max_streams", self.max_streams, 1, 1_000_000)?;
+        in_range("learner.requests_per_second", self.requests_per_second, 1, 1_000_000)?;
         in_range("learner.max_message_bytes", self.max_message_bytes, 64 * 1024, 1 << 30)?;
         in_range("learner.lease_seconds", self.lease_seconds, 1, 3600)?;
         in_range("learner.drain_seconds", self.drain_seconds, 1, 3600)
@@ -92,5 +147,19 @@ impl ActorConfig {
         in_range("actor.sumo_timeout_seconds", self.sumo_timeout_seconds, 1, 3600)?;
         in_range("actor.give_up_seconds", self.give_up_seconds, 1, 30 * 24 * 3600)?;
         in_range("actor.max_sumo_failures", self.max_sumo_failures, 1, 1000)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_device_is_spelled_alike_on_the_command_line_and_in_the_file() {
+        for device in [ComputeDevice::Auto, ComputeDevice::Cpu, ComputeDevice::Cuda] {
+            let written = serde_json::to_string(&device).unwrap();
+            assert_eq!(written.trim_matches('"').parse(), Ok(device));
+        }
+        assert!("gpu".parse::<ComputeDevice>().unwrap_err().contains("cuda"));
     }
 }

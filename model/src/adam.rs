@@ -57,15 +57,19 @@ impl Adam {
     }
 }
 
-/// Euclidean norm of all gradients together.
+/// Euclidean norm of all gradients together. Read back once, since reading waits for a GPU.
 fn gradient_norm(params: &Params) -> f64 {
-    let square: f64 = params
+    let squares: Vec<Tensor> = params
         .tensors()
         .map(Tensor::grad)
         .filter(Tensor::defined)
-        .map(|grad| (&grad * &grad).sum(Kind::Double).double_value(&[]))
-        .sum();
-    square.sqrt()
+        .map(|grad| (&grad * &grad).sum(Kind::Double))
+        .collect();
+    if squares.is_empty() {
+        0.0
+    } else {
+        Tensor::stack(&squares, 0).sum(Kind::Double).double_value(&[]).sqrt()
+    }
 }
 
 /// Forgets the gradients of the last backward pass.

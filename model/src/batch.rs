@@ -3,10 +3,12 @@
 //! Order, with `S` sequences of `L` steps: sequences sorted by group, a *sample* is (sequence, step), sequence-major; a
 //! *row* is (sample, phase). A group's samples and rows are contiguous, so that what concerns one junction's phases is a
 //! view and no padded phase exists. Lanes are padded inside a group and masked in the attention.
+//!
+//! A batch is packed on the CPU and moved whole ([`Batch::to_device`]); nothing in it stays behind.
 
 use crate::features::{FeatureSizes, NetworkSpec, Track};
 use cross_config::Gfe;
-use tch::{Kind, Tensor};
+use tch::{Device, Kind, Tensor};
 
 /// One agent's consecutive observations in a batch.
 #[derive(Debug, Clone, Copy)]
@@ -141,6 +143,41 @@ impl Batch {
         }
     }
 
+    /// The same batch on a device; free of charge where it is already.
+    #[must_use]
+    pub fn to_device(self, device: Device) -> Self {
+        let inputs = match self.inputs {
+            Inputs::Paper(paper) => Inputs::Paper(PaperInputs {
+                states: paper.states.to_device(device),
+                phase_states: paper.phase_states.to_device(device),
+                phase_of_row: paper.phase_of_row.to_device(device),
+                real: paper.real.to_device(device),
+            }),
+            Inputs::Movement(movement) => Inputs::Movement(MovementInputs {
+                phases: movement.phases.to_device(device),
+                context: movement.context.to_device(device),
+                lanes: movement
+                    .lanes
+                    .iter()
+                    .map(|lanes| Lanes {
+                        features: lanes.features.to_device(device),
+                        mask: lanes.mask.to_device(device),
+                    })
+                    .collect(),
+            }),
+        };
+        Self {
+            sequences: self.sequences,
+            steps: self.steps,
+            groups: self.groups,
+            rows: self.rows,
+            order: self.order,
+            topology: self.topology.to_device(device),
+            inputs,
+            sample_of_row: self.sample_of_row.to_device(device),
+        }
+    }
+
     /// Number of samples.
     #[must_use]
     pub fn samples(&self) -> i64 {
@@ -155,6 +192,11 @@ impl Batch {
     /// `[sequences, w]` to `[samples, w]`.
     pub fn repeat_over_steps(&self, x: &Tensor) -> Tensor {
         x.unsqueeze(1).expand([-1, self.steps, -1], false).reshape([self.samples(), -1])
+    }
+
+    /// Sums over each sample's rows: `[rows]` to `[samples]`.
+    pub fn sum_over_phases(&self, x: &Tensor) -> Tensor {
+        Tensor::zeros([self.samples()], (x.kind(), x.device())).index_add(0, &self.sample_of_row, x)
     }
 
     /// Applies `f` to each group's rows as `[samples, phases, w]` and joins the results over samples.

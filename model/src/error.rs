@@ -58,6 +58,30 @@ pub enum ModelError {
         /// Limit.
         max_phases: usize,
     },
+    /// More roads than the `paper` form's topology vector holds.
+    #[error(
+        "the intersection {id} has {roads_in} incoming and {roads_out} outgoing roads; with model.gfe = \"paper\" it may have at most {max} of each, with model.gfe = \"movement\" any number"
+    )]
+    TooManyRoads {
+        /// SUMO traffic light id.
+        id: String,
+        /// Its incoming roads.
+        roads_in: usize,
+        /// Its outgoing roads.
+        roads_out: usize,
+        /// Limit.
+        max: usize,
+    },
+    /// A GPU was asked for and cannot be had.
+    #[error(
+        "the device cuda was asked for, but {0}; fix that, or set learner.device (--device) to cpu or auto"
+    )]
+    NoCuda(&'static str),
+    /// bfloat16 was asked for on a processor without it.
+    #[error(
+        "learner.precision is bf16, but this processor has no bfloat16 instructions (avx512_bf16, amx_bf16), without which it is slower than f32; set it to f32"
+    )]
+    NoBf16,
     /// A loss or gradient that is not a number.
     #[error(
         "the {0} of this update is not finite; the weights before it are kept, lower the learning rates or look for odd rewards"

@@ -13,17 +13,24 @@ pub mod batch;
 pub mod error;
 pub mod features;
 pub mod gae;
+mod inference;
 pub mod losses;
 pub mod net;
 pub mod params;
+pub mod placement;
+pub mod plain;
 pub mod policy;
 pub mod rounds;
 pub mod snapshot;
+pub mod stats;
 pub mod trainer;
 
 pub use error::ModelError;
+pub use placement::{Abilities, Placement};
+pub use plain::PlainPolicy;
 pub use policy::{ActMode, Decision, Policy};
-pub use trainer::{Trainer, TrainerFiles, UpdateStats};
+pub use stats::{ScenarioStats, UpdateStats};
+pub use trainer::{Trainer, TrainerFiles};
 
 /// One libtorch thread for this process.
 ///

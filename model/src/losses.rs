@@ -4,7 +4,7 @@ use crate::batch::{Batch, Inputs};
 use crate::features::FeatureSizes;
 use crate::net::{Forward, Net};
 use cross_config::{ModelConfig, PpoConfig};
-use tch::{Kind, Tensor};
+use tch::{Device, Kind, Tensor};
 
 /// What a minibatch should fit, in packed sample order.
 #[derive(Debug)]
@@ -23,6 +23,21 @@ pub struct Targets {
     pub has_next: Tensor,
 }
 
+impl Targets {
+    /// The same targets on a device.
+    #[must_use]
+    pub fn to_device(self, device: Device) -> Self {
+        Self {
+            chosen_rows: self.chosen_rows.to_device(device),
+            log_probs: self.log_probs.to_device(device),
+            advantages: self.advantages.to_device(device),
+            returns: self.returns.to_device(device),
+            next: self.next.to_device(device),
+            has_next: self.has_next.to_device(device),
+        }
+    }
+}
+
 /// One network's loss.
 #[derive(Debug)]
 pub struct Loss {
@@ -32,13 +47,16 @@ pub struct Loss {
     pub terms: Vec<(&'static str, Tensor)>,
 }
 
-/// Policy diagnostics of a minibatch (CleanRL's definitions).
-#[derive(Debug, Clone, Copy, Default)]
+/// How far the policy is from the one that collected, sample by sample `[samples]`, without gradients. Their means over
+/// samples are what is usually reported (CleanRL's definitions).
+#[derive(Debug)]
 pub struct PolicyDiagnostics {
-    /// Mean of `(ratio - 1) - log ratio`.
-    pub approx_kl: f64,
-    /// Share of samples whose ratio left the clip range.
-    pub clip_fraction: f64,
+    /// `(ratio - 1) - log ratio`, whose mean estimates the KL divergence.
+    pub approx_kl: Tensor,
+    /// 1 where the ratio left the clip range, else 0.
+    pub clipped: Tensor,
+    /// Entropy of the policy over the sample's phases.
+    pub entropy: Tensor,
 }
 
 /// The actor's loss; `entropy_weight` follows the schedule.
@@ -58,15 +76,12 @@ pub fn actor(
     let clipped = ratio.clamp(1.0 - ppo.clip_ratio, 1.0 + ppo.clip_ratio);
     let gain = (&ratio * &targets.advantages).minimum(&(clipped * &targets.advantages));
     let policy = -gain.mean(Kind::Float);
-    let entropy = -(log_probs.exp() * &log_probs).sum(Kind::Float) / batch.samples() as f64;
+    let entropies = -batch.sum_over_phases(&(log_probs.exp() * &log_probs));
+    let entropy = entropies.mean(Kind::Float);
     let diagnostics = tch::no_grad(|| PolicyDiagnostics {
-        approx_kl: ((&ratio - 1.0) - &log_ratio).mean(Kind::Float).double_value(&[]),
-        clip_fraction: (&ratio - 1.0)
-            .abs()
-            .gt(ppo.clip_ratio)
-            .to_kind(Kind::Float)
-            .mean(Kind::Float)
-            .double_value(&[]),
+        approx_kl: (&ratio - 1.0) - &log_ratio,
+        clipped: (&ratio - 1.0).abs().gt(ppo.clip_ratio).to_kind(Kind::Float),
+        entropy: entropies.detach(),
     });
     let mut total = &policy - &entropy * entropy_weight;
     let mut terms = vec![("policy", policy), ("entropy", entropy)];

@@ -1,5 +1,7 @@
 //! Named parameters, with deterministic initial values that do not depend on libtorch's generator.
 
+use crate::placement::Placement;
+use cross_config::Precision;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use tch::{Device, Kind, Tensor};
@@ -15,6 +17,7 @@ pub struct Init<'a> {
     prefix: String,
     params: &'a mut Params,
     rng: &'a mut ChaCha8Rng,
+    placement: Placement,
 }
 
 impl Params {
@@ -48,14 +51,39 @@ impl Default for Params {
 }
 
 impl<'a> Init<'a> {
-    /// The root of a network called `name`.
+    /// The root of a network called `name`, in single precision on the CPU.
     pub fn new(name: &str, params: &'a mut Params, rng: &'a mut ChaCha8Rng) -> Self {
-        Self { prefix: name.to_owned(), params, rng }
+        Self::placed(name, params, rng, Placement::CPU)
+    }
+
+    /// The root of a network called `name`.
+    pub fn placed(name: &str, params: &'a mut Params, rng: &'a mut ChaCha8Rng, placement: Placement) -> Self {
+        Self { prefix: name.to_owned(), params, rng, placement }
+    }
+
+    /// Where the network is.
+    #[must_use]
+    pub fn device(&self) -> Device {
+        self.placement.device
+    }
+
+    /// Kind in which its linear layers multiply, unless it is that of the weights.
+    #[must_use]
+    pub fn product_kind(&self) -> Option<Kind> {
+        match self.placement.precision {
+            Precision::F32 => None,
+            Precision::Bf16 => Some(Kind::BFloat16),
+        }
     }
 
     /// A module below this one.
     pub fn sub(&mut self, name: &str) -> Init<'_> {
-        Init { prefix: format!("{}.{name}", self.prefix), params: self.params, rng: self.rng }
+        Init {
+            prefix: format!("{}.{name}", self.prefix),
+            params: self.params,
+            rng: self.rng,
+            placement: self.placement,
+        }
     }
 
     /// A parameter uniform in `±bound`.
@@ -71,8 +99,9 @@ impl<'a> Init<'a> {
         self.add(name, &Tensor::full(shape, value, (Kind::Float, Device::Cpu)))
     }
 
+    /// Drawn on the CPU and moved before it becomes a leaf, so that a seed gives the same weights everywhere.
     fn add(&mut self, name: &str, tensor: &Tensor) -> Tensor {
-        let tensor = tensor.set_requires_grad(true);
+        let tensor = tensor.to_device(self.placement.device).set_requires_grad(true);
         self.params.entries.push((format!("{}.{name}", self.prefix), tensor.shallow_clone()));
         tensor
     }

@@ -10,6 +10,8 @@ use crate::net::Net;
 use crate::policy::floats;
 use cross_config::{Gfe, PpoConfig, RewardScale};
 use cross_sim::trajectory::{Fragment, FragmentEnd};
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use tch::{Device, Kind, Tensor};
@@ -58,6 +60,22 @@ pub struct Minibatch {
     pub actor_state: Tensor,
     /// The same for the critic.
     pub critic_state: Tensor,
+    /// Index of each sample's scenario among the run's `[samples]`, in packed order.
+    pub scenario_of_sample: Tensor,
+}
+
+impl Minibatch {
+    /// The same minibatch on a device, whole.
+    #[must_use]
+    pub fn to_device(self, device: Device) -> Self {
+        Self {
+            batch: self.batch.to_device(device),
+            targets: self.targets.to_device(device),
+            actor_state: self.actor_state.to_device(device),
+            critic_state: self.critic_state.to_device(device),
+            scenario_of_sample: self.scenario_of_sample.to_device(device),
+        }
+    }
 }
 
 /// Networks of the run by scenario name, in the configuration's order.
@@ -123,8 +141,9 @@ impl Round {
             .enumerate()
             .map(|(agent, track)| Sequence { network: &network, agent, track, start: 0 })
             .collect();
-        let batch = Batch::new(&list, steps + 1, sizes);
-        let initial = |stored: &[f32]| packed_state(stored, &batch.order, hidden);
+        let device = actor.device();
+        let batch = Batch::new(&list, steps + 1, sizes).to_device(device);
+        let initial = |stored: &[f32]| packed_state(stored, &batch.order, hidden).to_device(device);
         let (actor_start, critic_start) =
             (initial(&fragment.recurrent.actor), initial(&fragment.recurrent.critic));
         let (actor_states, critic_states, values) = tch::no_grad(|| {
@@ -217,6 +236,20 @@ impl Round {
         by_length
     }
 
+    /// The sequences of one epoch, shuffled, in minibatches of one length each.
+    pub fn minibatches(&self, ppo: &PpoConfig, rng: &mut ChaCha8Rng) -> Vec<Vec<Slice>> {
+        let mut out = Vec::new();
+        for (steps, mut own) in self.slices(ppo.sequence_steps as usize) {
+            own.shuffle(rng);
+            // Equal sizes, each as near the configured one as a whole number of minibatches allows.
+            let decisions = own.len() * steps;
+            let count = (decisions / ppo.minibatch_decisions as usize).max(1);
+            out.extend(own.chunks(own.len().div_ceil(count)).map(<[Slice]>::to_vec));
+        }
+        out.shuffle(rng);
+        out
+    }
+
     /// Packs sequences of equal length. The list must not be empty.
     #[must_use]
     pub fn minibatch(&self, slices: &[Slice], sizes: &FeatureSizes, target: i64) -> Minibatch {
@@ -240,9 +273,11 @@ impl Round {
         let (mut next, mut has_next) =
             (Vec::with_capacity(samples * target as usize), Vec::with_capacity(samples));
         let (mut actor_state, mut critic_state) = (Vec::new(), Vec::new());
+        let mut scenarios = Vec::with_capacity(samples);
         for &i in &batch.order {
             let slice = slices[i];
             let piece = &self.pieces[slice.piece];
+            scenarios.resize(scenarios.len() + steps, piece.scenario as i64);
             let range = slice.start..slice.start + steps;
             actions.extend_from_slice(&piece.actions[range.clone()]);
             log_probs.extend_from_slice(&piece.log_probs[range.clone()]);
@@ -265,7 +300,13 @@ impl Round {
             next: Tensor::from_slice(&next).view([-1, target]),
             has_next: Tensor::from_slice(&has_next),
         };
-        Minibatch { batch, targets, actor_state: state(&actor_state), critic_state: state(&critic_state) }
+        Minibatch {
+            batch,
+            targets,
+            actor_state: state(&actor_state),
+            critic_state: state(&critic_state),
+            scenario_of_sample: Tensor::from_slice(&scenarios),
+        }
     }
 
     /// Appends what prediction should meet after step `t`: the next state, or the chosen phase's next pooled counts.
@@ -287,9 +328,20 @@ impl Round {
     /// How much of the returns' variance the values explain: 1 is all, below 0 is worse than their mean.
     #[must_use]
     pub fn explained_variance(&self) -> f64 {
+        self.explained(|_| true)
+    }
+
+    /// The same within one scenario, by its index in the run.
+    #[must_use]
+    pub fn explained_variance_of(&self, scenario: usize) -> f64 {
+        self.explained(|piece| piece.scenario == scenario)
+    }
+
+    fn explained(&self, counts: impl Fn(&Piece) -> bool) -> f64 {
         let pairs = || {
             self.pieces
                 .iter()
+                .filter(|piece| counts(piece))
                 .flat_map(|p| p.returns.iter().zip(&p.values).map(|(r, v)| (f64::from(*r), f64::from(*v))))
         };
         let variance = |values: &mut dyn Iterator<Item = f64>| {

@@ -4,18 +4,18 @@ use crate::adam::{Adam, zero_gradients};
 use crate::error::ModelError;
 use crate::features::{FeatureSizes, NetworkSpec};
 use crate::losses::{self, Loss};
-use crate::net::{Forward, Net, Role};
-use crate::rounds::{Minibatch, Networks, Round, Slice};
+use crate::net::{Net, Role};
+use crate::placement::Placement;
+use crate::rounds::{Minibatch, Networks, Round};
 use crate::snapshot::{self, File, OPTIMIZER_FORMAT, PolicyMetadata};
+use crate::stats::{Means, UpdateStats};
 use cross_config::{Config, EntropySchedule};
 use cross_sim::layout::NetworkLayout;
 use cross_sim::trajectory::Fragment;
 use rand::SeedableRng;
-use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use std::collections::BTreeMap;
 use std::sync::Arc;
-use tch::{Kind, Tensor};
+use tch::Tensor;
 
 /// What the linear schedules fall to, as a share of the start.
 const SCHEDULE_FLOOR: f64 = 0.1;
@@ -27,21 +27,6 @@ pub struct TrainerFiles {
     pub model: Vec<u8>,
     /// Adam's moments and steps, random generator, counters.
     pub optimizer: Vec<u8>,
-}
-
-/// What an update did, for logs and metrics.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct UpdateStats {
-    /// Mean of every loss term over the minibatches, before its weight; names start with `actor_` or `critic_`.
-    pub losses: BTreeMap<String, f64>,
-    /// `approx_kl`, `clip_fraction`, `explained_variance`, gradient norms, learning rates.
-    pub diagnostics: BTreeMap<String, f64>,
-    /// Share of the gating weight per expert of the actor network.
-    pub expert_usage: Vec<f64>,
-    /// Mean assignment per cluster of the actor network.
-    pub cluster_usage: Vec<f64>,
-    /// Agent-decisions learned from.
-    pub decisions: u64,
 }
 
 /// The learner's model. Owned by one thread.
@@ -56,31 +41,36 @@ pub struct Trainer {
     critic_adam: Adam,
     rng: ChaCha8Rng,
     updates: u64,
-}
-
-/// Sums over minibatches that become means.
-#[derive(Default)]
-struct Means {
-    sums: BTreeMap<String, f64>,
-    experts: Vec<f64>,
-    clusters: Vec<f64>,
-    count: f64,
+    placement: Placement,
 }
 
 impl Trainer {
-    /// Fresh weights from the configuration's seed.
+    /// Fresh weights from the configuration's seed, on the device that it names.
     ///
     /// # Errors
-    /// [`ModelError::TooLarge`] if a scenario exceeds the model's limits.
+    /// [`ModelError::TooLarge`] or [`ModelError::TooManyRoads`] if a scenario exceeds the model's limits,
+    /// [`ModelError::NoCuda`] or [`ModelError::NoBf16`] if the machine lacks what the configuration asks for.
     pub fn new(config: &Config, layouts: Vec<(String, Arc<NetworkLayout>)>) -> Result<Self, ModelError> {
+        Self::placed(config, layouts, Placement::resolve(&config.learner)?)
+    }
+
+    /// As [`Trainer::new`], wherever the configuration would put it.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`], but for the machine.
+    pub fn placed(
+        config: &Config,
+        layouts: Vec<(String, Arc<NetworkLayout>)>,
+        placement: Placement,
+    ) -> Result<Self, ModelError> {
         let sizes = FeatureSizes::new(&config.env, &config.model);
         let mut networks = Networks::with_capacity(layouts.len());
         for (name, layout) in layouts {
             networks.push((name, Arc::new(NetworkSpec::new(&layout, &config.env, &config.model)?)));
         }
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-        let actor = Net::new(Role::Actor, &config.model, &sizes, &mut rng);
-        let critic = Net::new(Role::Critic, &config.model, &sizes, &mut rng);
+        let actor = Net::placed(Role::Actor, &config.model, &sizes, &mut rng, placement);
+        let critic = Net::placed(Role::Critic, &config.model, &sizes, &mut rng, placement);
         let (actor_adam, critic_adam) = (Adam::new(actor.params()), Adam::new(critic.params()));
         Ok(Self {
             config: config.clone(),
@@ -92,7 +82,14 @@ impl Trainer {
             critic_adam,
             rng,
             updates: 0,
+            placement,
         })
+    }
+
+    /// Where and in which precision updates are computed.
+    #[must_use]
+    pub fn placement(&self) -> Placement {
+        self.placement
     }
 
     /// Updates made, over all resumptions.
@@ -139,37 +136,27 @@ impl Trainer {
         let ppo = self.config.ppo.clone();
         let nets = (&self.actor, &self.critic);
         let round = Round::new(fragments, &self.networks, nets, &self.sizes, self.config.model.hidden, &ppo)?;
-        let slices = round.slices(ppo.sequence_steps as usize);
         let target = losses::target_width(&self.config.model, &self.sizes);
-        let mut means = Means::default();
+        let mut means = Means::new(self.networks.len());
         for _ in 0..ppo.epochs {
-            for chunk in self.minibatches(&slices) {
-                let minibatch = round.minibatch(&chunk, &self.sizes, target);
+            for chunk in round.minibatches(&ppo, &mut self.rng) {
+                let minibatch = round.minibatch(&chunk, &self.sizes, target).to_device(self.placement.device);
                 self.learn(&minibatch, &mut means)?;
             }
         }
-        let mut stats = means.finish();
+        let mut stats = means.finish(self.networks.iter().map(|(name, _)| name.as_str()));
         stats.decisions = round.decisions();
         stats.diagnostics.insert("explained_variance".to_owned(), round.explained_variance());
+        for (scenario, (name, _)) in self.networks.iter().enumerate() {
+            if let Some(own) = stats.scenarios.get_mut(name) {
+                let explained = round.explained_variance_of(scenario);
+                own.diagnostics.insert("explained_variance".to_owned(), explained);
+            }
+        }
         stats.diagnostics.insert("actor_lr".to_owned(), ppo.actor_lr * self.lr_factor());
         stats.diagnostics.insert("critic_lr".to_owned(), ppo.critic_lr * self.lr_factor());
         stats.diagnostics.insert("entropy_weight".to_owned(), self.entropy_weight());
         Ok(stats)
-    }
-
-    /// Shuffled sequences in minibatches of one length each.
-    fn minibatches(&mut self, slices: &BTreeMap<usize, Vec<Slice>>) -> Vec<Vec<Slice>> {
-        let mut out = Vec::new();
-        for (&steps, own) in slices {
-            let mut own = own.clone();
-            own.shuffle(&mut self.rng);
-            // Equal sizes, each as near the configured one as a whole number of minibatches allows.
-            let decisions = own.len() * steps;
-            let count = (decisions / self.config.ppo.minibatch_decisions as usize).max(1);
-            out.extend(own.chunks(own.len().div_ceil(count)).map(<[Slice]>::to_vec));
-        }
-        out.shuffle(&mut self.rng);
-        out
     }
 
     fn learn(&mut self, minibatch: &Minibatch, means: &mut Means) -> Result<(), ModelError> {
@@ -189,12 +176,17 @@ impl Trainer {
         );
         let lr = ppo.actor_lr * self.lr_factor();
         let norm = descend(&loss, &self.actor, &mut self.actor_adam, lr, ppo.max_grad_norm, "actor's loss")?;
-        means.count += 1.0;
+        means.begin();
         means.add_loss("actor", &loss);
-        means.add("approx_kl", diagnostics.approx_kl);
-        means.add("clip_fraction", diagnostics.clip_fraction);
         means.add("actor_grad_norm", norm);
-        means.add_usage(&forward, model.experts);
+        let scenario_of_row = batch.repeat_over_phases(&minibatch.scenario_of_sample);
+        means.add_policy(
+            &forward,
+            &diagnostics,
+            &minibatch.scenario_of_sample,
+            &scenario_of_row,
+            model.experts,
+        );
 
         zero_gradients(self.critic.params());
         let forward = self.critic.forward(batch, &minibatch.critic_state);
@@ -319,52 +311,4 @@ fn descend(
     loss.total.f_backward()?;
     let norm = adam.step(net.params(), lr, max_norm);
     if norm.is_finite() { Ok(norm) } else { Err(ModelError::NotFinite(what)) }
-}
-
-impl Means {
-    fn add(&mut self, name: &str, value: f64) {
-        *self.sums.entry(name.to_owned()).or_default() += value;
-    }
-
-    fn add_loss(&mut self, network: &str, loss: &Loss) {
-        self.add(&format!("loss/{network}_total"), loss.total.double_value(&[]));
-        for (name, term) in &loss.terms {
-            self.add(&format!("loss/{network}_{name}"), term.double_value(&[]));
-        }
-    }
-
-    fn add_usage(&mut self, forward: &Forward, experts: i64) {
-        tch::no_grad(|| {
-            if let Some((alpha, indices)) = &forward.moe.gates {
-                accumulate(&mut self.experts, &losses::expert_usage(alpha, indices, experts));
-            }
-            if let Some(pcc) = &forward.pcc {
-                accumulate(&mut self.clusters, &pcc.weights.mean_dim(0, false, Kind::Float));
-            }
-        });
-    }
-
-    fn finish(self) -> UpdateStats {
-        let count = self.count.max(1.0);
-        let mut stats = UpdateStats {
-            expert_usage: self.experts.iter().map(|v| v / count).collect(),
-            cluster_usage: self.clusters.iter().map(|v| v / count).collect(),
-            ..UpdateStats::default()
-        };
-        for (name, sum) in self.sums {
-            match name.strip_prefix("loss/") {
-                Some(term) => stats.losses.insert(term.to_owned(), sum / count),
-                None => stats.diagnostics.insert(name, sum / count),
-            };
-        }
-        stats
-    }
-}
-
-fn accumulate(sums: &mut Vec<f64>, values: &Tensor) {
-    let values = crate::policy::floats(values);
-    sums.resize(values.len(), 0.0);
-    for (sum, value) in sums.iter_mut().zip(values) {
-        *sum += f64::from(value);
-    }
 }

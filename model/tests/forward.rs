@@ -123,3 +123,17 @@ fn observations_of_another_network_are_refused() {
     let error = policy.begin_episode(&large).unwrap_err().to_string();
     assert!(error.contains("big") && error.contains('9') && error.contains('8'), "{error}");
 }
+
+#[test]
+fn more_roads_than_the_paper_form_holds_are_refused_by_it_alone() {
+    let mut wide = intersection("wide", 4, 2);
+    wide.roads_out = std::iter::repeat_n(wide.roads_out[0].clone(), 8).collect();
+    let wide = NetworkLayout { intersections: vec![wide] };
+    let layout = ragged();
+    let error = policy(Gfe::Paper, &layout).begin_episode(&wide).unwrap_err().to_string();
+    assert!(
+        ["wide", "4 incoming", "8 outgoing", "at most 7"].iter().all(|part| error.contains(part)),
+        "{error}"
+    );
+    policy(Gfe::Movement, &layout).begin_episode(&wide).unwrap();
+}

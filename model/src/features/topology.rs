@@ -40,7 +40,7 @@ fn road(road: &Road) -> [f32; IN_FEATURES] {
     ]
 }
 
-/// Roads beyond [`MAX_ROADS`] are left out.
+/// The caller has refused more roads than [`MAX_ROADS`].
 pub(super) fn ordered(intersection: &Intersection, max_phases: usize) -> Vec<f32> {
     let mut out = Vec::with_capacity(ordered_size(max_phases));
     push_one_hots(intersection, max_phases, &mut out);

@@ -124,7 +124,7 @@ impl LaneAttention {
         let (hidden, heads) = (config.hidden, config.heads);
         let width = hidden / heads;
         let head_of =
-            Tensor::eye(heads, (Kind::Float, tch::Device::Cpu)).repeat_interleave_self_int(width, 0, None);
+            Tensor::eye(heads, (Kind::Float, init.device())).repeat_interleave_self_int(width, 0, None);
         Self {
             heads,
             width,

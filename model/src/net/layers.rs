@@ -1,13 +1,14 @@
 //! The few layers that the modules are made of.
 
 use crate::params::Init;
-use tch::Tensor;
+use tch::{Kind, Tensor};
 
 /// `y = x Wᵀ + b`, initialised uniformly in `±gain/√inputs`.
 #[derive(Debug)]
 pub(super) struct Linear {
     weight: Tensor,
     bias: Tensor,
+    product_kind: Option<Kind>,
 }
 
 impl Linear {
@@ -20,12 +21,31 @@ impl Linear {
         Self {
             weight: init.uniform("weight", &[outputs, inputs], bound),
             bias: init.uniform("bias", &[outputs], bound),
+            product_kind: init.product_kind(),
         }
+    }
+
+    /// The layer, multiplying in the kind of its weights whatever the network's placement says.
+    pub(super) fn in_full_precision(self) -> Self {
+        Self { product_kind: None, ..self }
     }
 
     /// `[.., inputs]` to `[.., outputs]`.
     pub(super) fn forward(&self, x: &Tensor) -> Tensor {
-        x.linear(&self.weight, Some(&self.bias))
+        product(x, &self.weight, Some(&self.bias), self.product_kind)
+    }
+}
+
+/// `x Wᵀ + b`, computed in `kind` where one is given; the result has the kind of `x`.
+///
+/// This is what PyTorch's autocast does to a linear layer; `tch` offers autocast on CUDA alone.
+fn product(x: &Tensor, weight: &Tensor, bias: Option<&Tensor>, kind: Option<Kind>) -> Tensor {
+    match kind {
+        None => x.linear(weight, bias),
+        Some(kind) => {
+            let bias = bias.map(|bias| bias.to_kind(kind));
+            x.to_kind(kind).linear(&weight.to_kind(kind), bias.as_ref()).to_kind(x.kind())
+        }
     }
 }
 
@@ -33,16 +53,18 @@ impl Linear {
 #[derive(Debug)]
 pub(super) struct Projection {
     weight: Tensor,
+    product_kind: Option<Kind>,
 }
 
 impl Projection {
     /// `fan_in` is the width of the whole concatenated input, of which this layer reads `inputs` columns.
     pub(super) fn new(init: &mut Init<'_>, inputs: i64, outputs: i64, fan_in: i64) -> Self {
-        Self { weight: init.uniform("weight", &[outputs, inputs], 1.0 / (fan_in as f64).sqrt()) }
+        let weight = init.uniform("weight", &[outputs, inputs], 1.0 / (fan_in as f64).sqrt());
+        Self { weight, product_kind: init.product_kind() }
     }
 
     pub(super) fn forward(&self, x: &Tensor) -> Tensor {
-        x.linear(&self.weight, None::<&Tensor>)
+        product(x, &self.weight, None, self.product_kind)
     }
 
     /// `[outputs, inputs]`.
@@ -114,6 +136,7 @@ impl Gru {
 
     /// `x` `[sequences, steps, width]`, `state` `[sequences, width]`; returns the state after every step.
     pub(super) fn forward(&self, x: &Tensor, state: &Tensor) -> Tensor {
-        x.gru(&state.unsqueeze(0), &self.weights, true, 1, 0.0, false, false, true).0
+        // In training mode: without dropout it changes no number, and cuDNN goes backward in no other.
+        x.gru(&state.unsqueeze(0), &self.weights, true, 1, 0.0, true, false, true).0
     }
 }

@@ -19,13 +19,14 @@ pub use pcc::PccOutput;
 use crate::batch::Batch;
 use crate::features::FeatureSizes;
 use crate::params::{Init, Params};
+use crate::placement::Placement;
 use cross_config::ModelConfig;
 use gfe::GfeNet;
 use layers::Linear;
 use moe::Moe;
 use pcc::Pcc;
 use rand_chacha::ChaCha8Rng;
-use tch::Tensor;
+use tch::{Device, Tensor};
 
 /// What a network is for; decides the initial scale of its head.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,6 +56,7 @@ pub struct Net {
     pcc: Option<Pcc>,
     moe: Moe,
     head: Linear,
+    device: Device,
 }
 
 /// All that a forward pass gives.
@@ -73,25 +75,44 @@ pub struct Forward {
 }
 
 impl Net {
-    /// A network with fresh weights.
+    /// A network with fresh weights, in single precision on the CPU.
     #[must_use]
     pub fn new(role: Role, config: &ModelConfig, sizes: &FeatureSizes, rng: &mut ChaCha8Rng) -> Self {
+        Self::placed(role, config, sizes, rng, Placement::CPU)
+    }
+
+    /// A network with fresh weights; the same ones wherever it is.
+    #[must_use]
+    pub fn placed(
+        role: Role,
+        config: &ModelConfig,
+        sizes: &FeatureSizes,
+        rng: &mut ChaCha8Rng,
+        placement: Placement,
+    ) -> Self {
         let mut params = Params::new();
-        let mut init = Init::new(role.name(), &mut params, rng);
+        let mut init = Init::placed(role.name(), &mut params, rng, placement);
         let gfe = GfeNet::new(&mut init.sub("gfe"), config, sizes);
         let pcc = config.pcc.then(|| Pcc::new(&mut init.sub("pcc"), config, sizes));
         let context = if config.pcc { config.latent } else { 0 };
         let moe = Moe::new(&mut init.sub("moe"), config, context);
         // A small policy head starts near the uniform policy, which explores.
         let gain = if role == Role::Actor { 0.01 } else { 1.0 };
-        let head = Linear::with_gain(&mut init.sub("head"), config.hidden, 1, gain);
-        Self { params, gfe, pcc, moe, head }
+        // One column: nothing to gain from a lower precision, and logits and values would lose digits.
+        let head = Linear::with_gain(&mut init.sub("head"), config.hidden, 1, gain).in_full_precision();
+        Self { params, gfe, pcc, moe, head, device: placement.device }
     }
 
     /// Names and tensors of its weights.
     #[must_use]
     pub fn params(&self) -> &Params {
         &self.params
+    }
+
+    /// Where it is; batches and states have to be there too.
+    #[must_use]
+    pub fn device(&self) -> Device {
+        self.device
     }
 
     /// The whole pass. `state` is the recurrent state at the start of each sequence `[sequences, hidden]`.

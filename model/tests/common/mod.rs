@@ -10,7 +10,7 @@
     reason = "helpers of tests, outside #[test] functions"
 )]
 
-use cross_config::Config;
+use cross_config::{ComputeDevice, Config};
 use cross_model::{ActMode, Policy, Trainer};
 use cross_sim::layout::{Intersection, Lane, Movement, NetworkLayout, Phase, Road};
 use cross_sim::trajectory::{Fragment, FragmentEnd, FragmentId, Observation};
@@ -58,6 +58,8 @@ pub fn ragged() -> Arc<NetworkLayout> {
 /// Small networks and rounds that update in milliseconds.
 pub fn tiny_config() -> Config {
     let mut config = Config::default();
+    // Where a GPU is, too: these tests compare bits.
+    config.learner.device = ComputeDevice::Cpu;
     config.model.hidden = 16;
     config.model.latent = 8;
     config.ppo.sequence_steps = 5;
