@@ -2,13 +2,13 @@
 //!
 //! Commands parse, check and print; what they do lives in the crates they call.
 
+mod baselines;
 mod commands;
 mod evaluate;
 mod failure;
 mod learned;
 mod output;
-// The commands that use it come next to it.
-#[allow(dead_code)]
+mod output_file;
 mod paper;
 mod policy;
 mod sumo;
@@ -40,6 +40,7 @@ Progress and errors go to standard error, results to standard output.";
 enum Command {
     Train(commands::train::Train),
     Eval(commands::eval::Eval),
+    Baselines(commands::baselines::Baselines),
     Scenario(commands::scenario::Scenario),
     Checkpoint(commands::checkpoint::Checkpoint),
     Doctor(commands::doctor::Doctor),
@@ -58,6 +59,7 @@ fn main() -> ExitCode {
     let outcome = match cli.command {
         Command::Train(command) => command.run(),
         Command::Eval(command) => command.run(),
+        Command::Baselines(command) => command.run(),
         Command::Scenario(command) => command.run(),
         Command::Checkpoint(command) => command.run(),
         Command::Doctor(command) => command.run(),

@@ -1,5 +1,6 @@
 //! One file per command.
 
+pub(crate) mod baselines;
 pub(crate) mod checkpoint;
 pub(crate) mod doctor;
 pub(crate) mod eval;

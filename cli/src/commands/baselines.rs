@@ -1,0 +1,98 @@
+//! `cross baselines`: the table of rules, beside the paper's figures.
+
+use crate::baselines::page;
+use crate::baselines::plan::Plan;
+use crate::baselines::report::Report;
+use crate::baselines::run::{End, complete};
+use crate::baselines::store::Store;
+use crate::evaluate::default_workers;
+use crate::failure::{Failure, OrBadInput, Outcome};
+use crate::output;
+use crate::sumo::SumoOption;
+use crate::train::progress::say;
+use crate::train::run_dir::write_atomically;
+use clap::Args;
+use cross_config::EnvConfig;
+use cross_sim::controller::RuleBased;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Evaluates the rules on the paper's scenarios, beside its figures and an independent measurement
+///
+/// Finished episodes are kept in a folder and not simulated again while program, SUMO, settings, net and demand are the same, so
+/// that the command may be stopped and called again. Writes a page of Markdown, the protocol included.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  cross baselines --markdown docs/baselines.md                  all eight, about an hour of CPU time
+  cross baselines --scenario grid4x4 --policy fixed-time --policy max-pressure --seeds 1
+  cross baselines --scenario my/own/directory --json
+
+Without --scenario those of the eight that were not imported are named and left out; what --scenario names must be there.
+Ctrl-C: the episodes under way are lost, the finished ones kept, exit code 1.")]
+pub(crate) struct Baselines {
+    /// Scenario, by name or directory; repeat it for several [default: the eight of the paper]
+    #[arg(long = "scenario", value_name = "NAME")]
+    scenarios: Vec<String>,
+    /// Rule; repeat it for several [default: all but random]
+    #[arg(long = "policy", value_name = "RULE")]
+    policies: Vec<RuleBased>,
+    /// SUMO seeds 1 to N [default: 3, on grid5x5 10]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    seeds: Option<u32>,
+    /// Folder of the finished episodes
+    #[arg(long, value_name = "DIR", default_value = "runs/baselines")]
+    out: PathBuf,
+    /// Write the page there instead of to standard output
+    #[arg(long, value_name = "FILE")]
+    markdown: Option<PathBuf>,
+    /// Episodes at a time [default: one per core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    workers: Option<u16>,
+    #[command(flatten)]
+    sumo: SumoOption,
+    /// Print the result as one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+impl Baselines {
+    pub(crate) fn run(&self) -> Outcome<ExitCode> {
+        let home = self.sumo.locate()?;
+        let version = home.version().or_bad_input()?;
+        let plan = Plan::new(&self.scenarios, &self.policies, self.seeds, EnvConfig::default(), version)?;
+        for missing in &plan.missing {
+            say(&format!("without {}: {}", missing.scenario, missing.reason));
+        }
+        let store = Store::new(self.out.clone());
+        let workers = self.workers.map_or_else(default_workers, usize::from);
+        if let End::Stopped { left } = complete(&plan, &store, &home, workers)? {
+            return Err(Failure::failed(format!(
+                "stopped; {left} episodes are left, and the same command goes on with them"
+            )));
+        }
+        let report = Report::read(&plan, &store, self.command())?;
+        let page = page::render(&report);
+        if let Some(file) = &self.markdown {
+            write_atomically(file, page.as_bytes())?;
+        }
+        match &self.markdown {
+            _ if self.json => output::json(&report)?,
+            Some(file) => {
+                let count = report.scenarios.len();
+                output::text(&format!("{count} scenarios, page: {}", file.display()))?;
+            }
+            None => output::text(&page)?,
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+
+    /// The command that makes the same page again.
+    fn command(&self) -> String {
+        let mut words = vec!["cross baselines".to_owned()];
+        words.extend(self.scenarios.iter().map(|scenario| format!("--scenario {scenario}")));
+        words.extend(self.policies.iter().map(|policy| format!("--policy {policy}")));
+        words.extend(self.seeds.map(|seeds| format!("--seeds {seeds}")));
+        words.join(" ")
+    }
+}
