@@ -3,7 +3,8 @@
 //! Everything in a line but `time` and `timing` follows from the data alone: two serial runs of one seed write equal lines.
 
 use crate::admission::{Lag, Progress};
-use crate::files::replace_file;
+use cross_model::UpdateStats;
+use cross_support::files::replace_file;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -28,7 +29,7 @@ pub struct Line {
     pub scenarios: BTreeMap<String, ScenarioLine>,
     /// Loss terms by name, before their weights.
     pub losses: BTreeMap<String, f64>,
-    /// `approx_kl`, `clip_fraction`, `explained_variance`, gradient norms, learning rates.
+    /// `approx_kl`, `clip_fraction`, `entropy`, `explained_variance`, gradient norms, learning rates.
     pub diagnostics: BTreeMap<String, f64>,
     /// Share of the gating weight per expert.
     pub expert_usage: Vec<f64>,
@@ -36,6 +37,12 @@ pub struct Line {
     pub cluster_usage: Vec<f64>,
     /// Policy versions that the data was behind.
     pub lag: Lag,
+    /// Where the update was computed: `cpu` or `cuda:0`. Empty in lines of a version that did not say.
+    #[serde(default)]
+    pub device: String,
+    /// Precision of its large products: `f32` or `bf16`.
+    #[serde(default)]
+    pub precision: String,
     /// When the update was done, seconds since 1970.
     pub time: f64,
     /// How long things took.
@@ -53,6 +60,15 @@ pub struct ScenarioLine {
     pub episode_return: Option<f64>,
     /// Stopped vehicles within reward range per incoming lane, over the same episodes.
     pub queue_length: Option<f64>,
+    /// `approx_kl`, `clip_fraction`, `entropy`, `explained_variance` over this scenario's data; empty if the round held none.
+    #[serde(default)]
+    pub diagnostics: BTreeMap<String, f64>,
+    /// Share of this scenario's gating weight per expert.
+    #[serde(default)]
+    pub expert_usage: Vec<f64>,
+    /// Mean assignment of this scenario's rows per cluster.
+    #[serde(default)]
+    pub cluster_usage: Vec<f64>,
 }
 
 /// Durations of an update, seconds.
@@ -67,18 +83,22 @@ pub struct Timing {
 }
 
 impl Line {
-    /// The scenarios' part, from the counters.
+    /// The scenarios' part, from the counters and the update.
     #[must_use]
-    pub fn scenarios(progress: &Progress) -> BTreeMap<String, ScenarioLine> {
+    pub fn scenarios(progress: &Progress, stats: &UpdateStats) -> BTreeMap<String, ScenarioLine> {
         progress
             .scenarios
             .iter()
             .map(|(name, s)| {
+                let own = stats.scenarios.get(name).cloned().unwrap_or_default();
                 let line = ScenarioLine {
                     episodes: s.episodes,
                     decisions: s.decisions,
                     episode_return: s.episode_return,
                     queue_length: s.queue_length,
+                    diagnostics: own.diagnostics,
+                    expert_usage: own.expert_usage,
+                    cluster_usage: own.cluster_usage,
                 };
                 (name.clone(), line)
             })
@@ -136,6 +156,17 @@ impl MetricsLog {
     }
 }
 
+impl MetricsLog {
+    /// Bytes that an ordinary user can still write to the run directory's file system.
+    ///
+    /// # Errors
+    /// If the file system does not say.
+    pub fn disk_available(&self) -> io::Result<u64> {
+        let space = rustix::fs::fstatvfs(&self.file)?;
+        Ok(space.f_bavail.saturating_mul(space.f_frsize))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -152,6 +183,8 @@ mod tests {
             expert_usage: Vec::new(),
             cluster_usage: Vec::new(),
             lag: Lag::default(),
+            device: "cpu".to_owned(),
+            precision: "f32".to_owned(),
             time: 0.0,
             timing: Timing::default(),
         }

@@ -3,7 +3,7 @@
 //! The recorder belongs to the learner, not to the process, so that several can live in one test.
 
 use crate::admission::{Admission, Dropped, Outcome};
-use cross_model::UpdateStats;
+use cross_model::{Placement, ScenarioStats, UpdateStats};
 use metrics::{
     Counter, Gauge, Histogram, counter, describe_counter, describe_gauge, describe_histogram, gauge,
     histogram,
@@ -118,6 +118,21 @@ impl Telemetry {
             for (cluster, share) in stats.cluster_usage.iter().enumerate() {
                 gauge!("cross_cluster_usage_ratio", "cluster" => cluster.to_string()).set(*share);
             }
+            for (scenario, own) in &stats.scenarios {
+                scenario_gauges(scenario, own);
+            }
+        });
+    }
+
+    /// Where updates are computed.
+    pub fn placed(&self, placement: Placement) {
+        metrics::with_local_recorder(&*self.recorder, || {
+            gauge!(
+                "cross_learner_device_info",
+                "device" => placement.device_name(),
+                "precision" => placement.precision_name()
+            )
+            .set(1.0);
         });
     }
 
@@ -141,6 +156,20 @@ impl Telemetry {
     /// A checkpoint was written.
     pub fn checkpointed(&self, seconds: f64) {
         self.checkpoint_seconds.record(seconds);
+    }
+
+    /// When the newest checkpoint on disk was written, seconds since 1970; one that is resumed from counts.
+    pub fn checkpoint_from(&self, time: f64) {
+        metrics::with_local_recorder(&*self.recorder, || {
+            gauge!("cross_learner_checkpoint_timestamp_seconds").set(time);
+        });
+    }
+
+    /// What the run directory's file system still takes.
+    pub fn disk_available(&self, bytes: u64) {
+        metrics::with_local_recorder(&*self.recorder, || {
+            gauge!("cross_learner_disk_available_bytes").set(bytes as f64);
+        });
     }
 
     /// A checkpoint could not be written.
@@ -199,6 +228,23 @@ impl ScenarioMetrics {
     }
 }
 
+/// Names of their own, not a label more on the totals: a sum or a mean over the totals' series must not count twice.
+fn scenario_gauges(scenario: &str, stats: &ScenarioStats) {
+    let scenario = scenario.to_owned();
+    for (name, value) in &stats.diagnostics {
+        let labels = [("scenario", scenario.clone()), ("name", name.clone())];
+        gauge!("cross_learner_scenario_diagnostic", &labels).set(*value);
+    }
+    for (expert, share) in stats.expert_usage.iter().enumerate() {
+        let labels = [("scenario", scenario.clone()), ("expert", expert.to_string())];
+        gauge!("cross_learner_expert_usage_ratio", &labels).set(*share);
+    }
+    for (cluster, share) in stats.cluster_usage.iter().enumerate() {
+        let labels = [("scenario", scenario.clone()), ("cluster", cluster.to_string())];
+        gauge!("cross_learner_cluster_usage_ratio", &labels).set(*share);
+    }
+}
+
 fn describe() {
     describe_gauge!("cross_build_info", "What is running; always 1");
     describe_counter!("cross_learner_updates_total", "PPO updates done by this process");
@@ -226,8 +272,20 @@ fn describe() {
     describe_gauge!("cross_learner_buffer_decisions", "Agent-decisions that wait for an update");
     describe_gauge!("cross_learner_loss", "Loss terms of the last update, before their weights");
     describe_gauge!("cross_learner_diagnostic", "Diagnostics of the last update");
-    describe_gauge!("cross_expert_usage_ratio", "Share of the gating weight of each expert");
-    describe_gauge!("cross_cluster_usage_ratio", "Mean assignment to each cluster");
+    describe_gauge!(
+        "cross_learner_checkpoint_timestamp_seconds",
+        "When the newest checkpoint on disk was written, seconds since 1970"
+    );
+    describe_gauge!("cross_learner_disk_available_bytes", "Space left where the run directory is");
+    describe_gauge!("cross_learner_device_info", "Where updates are computed; always 1");
+    describe_gauge!("cross_learner_scenario_diagnostic", "Diagnostics of the last update, by scenario");
+    describe_gauge!(
+        "cross_learner_expert_usage_ratio",
+        "Share of a scenario's gating weight that each expert has"
+    );
+    describe_gauge!("cross_learner_cluster_usage_ratio", "Mean assignment of a scenario to each cluster");
+    describe_gauge!("cross_expert_usage_ratio", "Share of the gating weight of each expert, all scenarios");
+    describe_gauge!("cross_cluster_usage_ratio", "Mean assignment to each cluster, all scenarios");
 }
 
 #[cfg(test)]
@@ -242,11 +300,24 @@ mod tests {
             losses: BTreeMap::from([("actor_clip".to_owned(), 0.5)]),
             expert_usage: vec![0.5, 0.5],
             cluster_usage: vec![1.0],
+            scenarios: BTreeMap::from([(
+                "grid4x4".to_owned(),
+                ScenarioStats {
+                    diagnostics: BTreeMap::from([("approx_kl".to_owned(), 0.25)]),
+                    expert_usage: vec![0.75, 0.25],
+                    cluster_usage: vec![1.0],
+                },
+            )]),
             ..UpdateStats::default()
         };
+        telemetry.placed(Placement::CPU);
         telemetry.updated(0.3, &stats);
         telemetry.published(2);
         telemetry.checkpointed(0.1);
+        let before = telemetry.render();
+        assert!(!before.contains("checkpoint_timestamp_seconds "), "no checkpoint has no time, not 1970");
+        telemetry.checkpoint_from(1_750_000_000.5);
+        telemetry.disk_available(1 << 30);
         let text = telemetry.render();
         // The labels that the actor gives it too, so that one query answers for both.
         let build = format!(
@@ -269,6 +340,12 @@ mod tests {
             "cross_learner_checkpoint_seconds_bucket{",
             "cross_expert_usage_ratio{expert=\"1\"} 0.5",
             "cross_cluster_usage_ratio{cluster=\"0\"} 1",
+            "cross_learner_checkpoint_timestamp_seconds 1750000000.5",
+            "cross_learner_disk_available_bytes 1073741824",
+            "cross_learner_device_info{device=\"cpu\",precision=\"f32\"} 1",
+            "cross_learner_scenario_diagnostic{scenario=\"grid4x4\",name=\"approx_kl\"} 0.25",
+            "cross_learner_expert_usage_ratio{scenario=\"grid4x4\",expert=\"1\"} 0.25",
+            "cross_learner_cluster_usage_ratio{scenario=\"grid4x4\",cluster=\"0\"} 1",
         ] {
             assert!(text.contains(name), "{name} is missing in:\n{text}");
         }

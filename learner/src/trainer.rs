@@ -83,6 +83,7 @@ fn run(mut setup: TrainerSetup, mut work: mpsc::Receiver<Work>, reports: &mpsc::
         // Whoever listened to reports is gone if this fails, and so is the need for them: here and below.
         Err(error) => return drop(reports.blocking_send(Report::Unusable(error))),
     };
+    announce(&trainer, &setup);
     let resumed = setup.resumed.take();
     let mut worker = Worker {
         written: resumed.as_ref().map(|checkpoint| checkpoint.metadata.updates),
@@ -121,6 +122,20 @@ fn build(
     Ok(trainer)
 }
 
+/// Says where updates are computed, and what that means where it is not plain; and when the newest checkpoint is from.
+fn announce(trainer: &Trainer, setup: &TrainerSetup) {
+    let placement = trainer.placement();
+    if setup.config.learner.serial && placement.device.is_cuda() {
+        tracing::warn!(
+            "on a GPU sums differ in their last digits from run to run: serial mode does not repeat bit for bit"
+        );
+    }
+    setup.telemetry.placed(placement);
+    if let Some(checkpoint) = &setup.resumed {
+        setup.telemetry.checkpoint_from(checkpoint.metadata.created_unix_ms as f64 / 1e3);
+    }
+}
+
 struct Worker {
     setup: TrainerSetup,
     trainer: Trainer,
@@ -153,6 +168,7 @@ impl Worker {
         self.progress = round.progress;
         self.sumo = sumo;
         let policy_version = self.trainer.policy_version();
+        let placement = self.trainer.placement();
         self.setup.telemetry.updated(update_seconds, &stats);
         self.setup.telemetry.lag(&round.lag);
         let timing =
@@ -162,12 +178,14 @@ impl Worker {
             policy_version,
             decisions: self.progress.decisions,
             episodes: self.progress.episodes,
-            scenarios: Line::scenarios(&self.progress),
+            scenarios: Line::scenarios(&self.progress, &stats),
             losses: stats.losses.clone(),
             diagnostics: stats.diagnostics.clone(),
             expert_usage: stats.expert_usage.clone(),
             cluster_usage: stats.cluster_usage.clone(),
             lag: round.lag,
+            device: placement.device_name(),
+            precision: placement.precision_name().to_owned(),
             time: unix_time().as_secs_f64(),
             timing,
         };
@@ -178,6 +196,7 @@ impl Worker {
             self.setup.telemetry.log_failed();
             tracing::error!("cannot write {}: {error}; training goes on", crate::metrics_log::FILE);
         }
+        self.look_at_the_disk();
         if self.is_due() { reports.blocking_send(self.checkpoint(false)) } else { Ok(()) }
     }
 
@@ -205,6 +224,7 @@ impl Worker {
                 self.written = Some(updates);
                 let seconds = begun.elapsed().as_secs_f64();
                 self.setup.telemetry.checkpointed(seconds);
+                self.setup.telemetry.checkpoint_from(unix_time().as_secs_f64());
                 tracing::info!(checkpoint = id, updates, seconds, "checkpoint written");
             }
             Err(error) => {
@@ -212,7 +232,15 @@ impl Worker {
                 tracing::error!(updates, "no checkpoint: {error}; the previous ones are untouched");
             }
         }
+        self.look_at_the_disk();
         Report::Checkpoint { result, last }
+    }
+
+    fn look_at_the_disk(&self) {
+        match self.setup.log.disk_available() {
+            Ok(bytes) => self.setup.telemetry.disk_available(bytes),
+            Err(error) => tracing::debug!("the run directory's file system does not tell its space: {error}"),
+        }
     }
 
     fn write(&self) -> Result<String, String> {
@@ -248,6 +276,7 @@ impl Worker {
                 sumo: self.sumo.clone(),
                 libtorch: cross_model::libtorch_version().to_owned(),
             },
+            device: self.trainer.placement().device_name(),
             files: BTreeMap::new(),
             progress: self.progress.clone(),
             config: serde_json::to_value(config).unwrap_or_default(),

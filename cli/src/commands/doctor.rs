@@ -6,6 +6,7 @@ use crate::sumo::SumoOption;
 use crate::train::sibling;
 use clap::Args;
 use cross_config::Config;
+use cross_model::Abilities;
 use cross_sim::layout::load_layout;
 use cross_sim::scenario::{self, Scenario};
 use cross_traci::sumo::{Sumo, SumoCommand, SumoHome};
@@ -87,6 +88,7 @@ impl Doctor {
     pub(crate) fn run(&self) -> Outcome<ExitCode> {
         let mut checks = self.sumo();
         checks.push(libtorch());
+        checks.push(device());
         checks.extend(scenarios());
         checks.push(program("cross-learner"));
         checks.push(program("cross-actor"));
@@ -170,6 +172,21 @@ fn libtorch() -> Check {
         }
         Err(error) => Check::failed(NAME, error, TORCH_REMEDY),
     }
+}
+
+/// Never a failure: every machine has a CPU, and what a configuration asks for beyond that is checked when it is used.
+fn device() -> Check {
+    let machine = Abilities::detect();
+    let cuda = match (machine.cuda_built, machine.cuda_devices) {
+        (false, _) => "this libtorch is without CUDA".to_owned(),
+        (true, 0) => "libtorch finds no CUDA device".to_owned(),
+        (true, 1) => "one CUDA device".to_owned(),
+        (true, devices) => format!("{devices} CUDA devices"),
+    };
+    let taken = if machine.cuda_devices > 0 { "cuda:0" } else { "cpu" };
+    let bf16 = if machine.cpu_bf16 { "has" } else { "does not have" };
+    let detail = format!("updates run on {taken} ({cuda}); the processor {bf16} bf16 instructions");
+    Check::ok("device", detail)
 }
 
 const TORCH_REMEDY: &str = "reinstall libtorch: remove .deps/libtorch and run `make build`";
@@ -320,5 +337,6 @@ mod tests {
     #[test]
     fn libtorch_works_here() {
         assert_eq!(libtorch().status, Status::Ok);
+        assert!(device().detail.contains("updates run on"));
     }
 }

@@ -11,7 +11,10 @@ use crate::train::run_dir::{self, RunDir};
 use crate::train::watch::Watch;
 use anyhow::Context;
 use clap::Args;
-use cross_config::Config;
+use cross_config::{ComputeDevice, Config};
+use cross_support::client::ClientSecurity;
+use cross_support::options::{ClientOptions, TokenOption};
+use cross_support::token::Tokens;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -55,6 +58,9 @@ pub(crate) struct Train {
     /// Seed of everything random [default: 1]
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
+    /// Where updates are computed: auto (CUDA if libtorch has it and a device is there), cpu or cuda [default: auto]
+    #[arg(long, value_name = "DEVICE")]
+    device: Option<ComputeDevice>,
     /// Lock-step mode: one actor, no collection during updates; one seed always gives the same numbers
     #[arg(long)]
     serial: bool,
@@ -63,6 +69,8 @@ pub(crate) struct Train {
     eval_seeds: u32,
     #[command(flatten)]
     sumo: SumoOption,
+    #[command(flatten)]
+    token: TokenOption,
     /// Print the result as one JSON document
     #[arg(long)]
     json: bool,
@@ -74,6 +82,9 @@ pub(crate) struct Train {
 impl Train {
     pub(crate) fn run(&self) -> Outcome<ExitCode> {
         let started = Instant::now();
+        // Learner and actors read it again, but a person should hear of a bad one from this program, and at once.
+        let client = ClientOptions { token: self.token.clone(), ..ClientOptions::default() };
+        let security = ClientSecurity::load(&client, Tokens::variable()).or_bad_input()?;
         let existing = if self.resume { Some(RunDir::open(self.run.as_deref())?) } else { None };
         let config = self.resolve(existing.as_ref())?;
         let actors = self.actors(&config)?;
@@ -91,13 +102,14 @@ impl Train {
             self.announce(&config, &ready, &run, actors);
         }
 
-        let watch = Watch::start().context("cannot listen for signals")?;
+        let watch = Watch::start(security).context("cannot listen for signals")?;
         let plan = Plan {
             actors,
             updates: config.updates,
             drain_seconds: config.learner.drain_seconds,
             resume: self.resume,
             sumo_home: ready.sumo.path().to_owned(),
+            token_file: self.token.token_file.clone(),
         };
         let mut progress = Progress::new(!self.no_progress, config.updates);
         let trained = run::run(&run, &plan, &watch, &mut progress)?;
@@ -156,6 +168,9 @@ impl Train {
         if let Some(seed) = self.seed {
             config.seed = seed;
         }
+        if let Some(device) = self.device {
+            config.learner.device = device;
+        }
         if self.serial {
             config.learner.serial = true;
         }
@@ -192,10 +207,12 @@ impl Train {
             config.seed
         ));
         say(&format!(
-            "SUMO {} in {}, libtorch {}",
+            "SUMO {} in {}, libtorch {}, updates on {} in {}",
             ready.sumo_version,
             ready.sumo.path().display(),
-            cross_model::libtorch_version()
+            cross_model::libtorch_version(),
+            ready.placement.device_name(),
+            ready.placement.precision_name()
         ));
         say(&format!("run directory {} (configuration, logs, checkpoints)", run.path().display()));
     }

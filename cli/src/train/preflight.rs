@@ -3,6 +3,8 @@
 use crate::failure::{Failure, OrBadInput, Outcome};
 use crate::train::sibling;
 use cross_config::Config;
+use cross_model::Placement;
+use cross_model::features::NetworkSpec;
 use cross_sim::layout::load_layout;
 use cross_sim::scenario::Scenario;
 use cross_traci::sumo::SumoHome;
@@ -13,12 +15,15 @@ pub(crate) struct Ready {
     pub(crate) sumo: SumoHome,
     pub(crate) sumo_version: String,
     pub(crate) scenarios: Vec<Scenario>,
+    /// Where the learner will compute.
+    pub(crate) placement: Placement,
 }
 
-/// Checks programs, SUMO and scenarios.
+/// Checks programs, SUMO, the device and scenarios.
 pub(crate) fn check(config: &Config, sumo: SumoHome) -> Outcome<Ready> {
     sibling("cross-learner")?;
     sibling("cross-actor")?;
+    let placement = Placement::resolve(&config.learner).or_bad_input()?;
     let sumo_version = sumo.version().or_bad_input()?;
     let mut scenarios = Vec::new();
     for name in &config.scenarios {
@@ -29,7 +34,8 @@ pub(crate) fn check(config: &Config, sumo: SumoHome) -> Outcome<Ready> {
                 "the net of {name} has no traffic light to control; choose another scenario"
             )));
         }
+        NetworkSpec::new(&layout, &config.env, &config.model).or_bad_input()?;
         scenarios.push(scenario);
     }
-    Ok(Ready { sumo, sumo_version, scenarios })
+    Ok(Ready { sumo, sumo_version, scenarios, placement })
 }

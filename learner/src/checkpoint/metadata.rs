@@ -48,6 +48,9 @@ pub struct Metadata {
     pub layouts: BTreeMap<String, String>,
     /// What was installed.
     pub versions: Versions,
+    /// Where its updates were last computed; any other device can go on from here.
+    #[serde(default)]
+    pub device: String,
     /// Size and hash of each file beside this one.
     pub files: BTreeMap<String, FileInfo>,
     /// Counters from which admission goes on.

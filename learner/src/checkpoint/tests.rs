@@ -30,6 +30,7 @@ fn metadata(updates: u64) -> Metadata {
         compatibility_hash: COMPATIBLE.to_owned(),
         layouts: BTreeMap::new(),
         versions: Versions::default(),
+        device: String::new(),
         files: BTreeMap::new(),
         progress: Progress { updates, next_episode: 3, ..Progress::default() },
         config: serde_json::from_str(&config.to_json()).unwrap(),
