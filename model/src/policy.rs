@@ -1,8 +1,8 @@
 //! Acting: a snapshot's networks on one network of streets, with their recurrent state.
 
-use crate::batch::{Batch, Sequence};
 use crate::error::ModelError;
 use crate::features::{FeatureSizes, NetworkSpec, Track};
+use crate::inference::{Actor, ActorWork, Constant, Critic, CriticWork, Isa};
 use crate::net::{Net, Role};
 use crate::snapshot::{self, PolicyMetadata};
 use cross_config::{EnvConfig, ModelConfig};
@@ -10,7 +10,7 @@ use cross_sim::layout::NetworkLayout;
 use cross_sim::trajectory::{Observation, RecurrentState};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tch::{Device, Kind, Tensor};
+use tch::Tensor;
 
 /// How phases are picked from their probabilities.
 pub enum ActMode<'a> {
@@ -33,30 +33,54 @@ pub struct Decision {
 #[derive(Debug)]
 pub struct Policy {
     metadata: PolicyMetadata,
-    sizes: FeatureSizes,
-    actor: Net,
-    critic: Net,
-    network: Option<NetworkSpec>,
-    actor_state: Tensor,
-    critic_state: Tensor,
+    isa: Isa,
+    actor: Actor,
+    critic: Critic,
+    network: Option<Begun>,
+    state: RecurrentState,
+    buffers: Buffers,
+}
+
+/// The network of streets that an episode was begun on.
+#[derive(Debug)]
+struct Begun {
+    spec: NetworkSpec,
+    /// What the present weights make of it.
+    constant: Constant,
+}
+
+/// Kept from decision to decision, so that none allocates.
+#[derive(Debug, Default)]
+struct Buffers {
+    seen: Track,
+    actor: ActorWork,
+    critic: CriticWork,
+    log_probs: Vec<f32>,
 }
 
 impl Policy {
-    /// Builds the networks that a snapshot describes and loads its weights.
+    /// Loads the weights of a snapshot.
     ///
     /// # Errors
     /// [`ModelError`] if the bytes are damaged, foreign or do not fit their own description.
     pub fn from_snapshot(bytes: &[u8]) -> Result<Self, ModelError> {
+        Self::with(Isa::best(), bytes)
+    }
+
+    /// As [`Policy::from_snapshot`], with these instructions.
+    pub(crate) fn with(isa: Isa, bytes: &[u8]) -> Result<Self, ModelError> {
         let metadata = snapshot::read_metadata(bytes)?;
         let sizes = FeatureSizes::new(&metadata.env, &metadata.model);
-        // The weights are overwritten at once, so the seed does not matter.
-        let mut rng = ChaCha8Rng::seed_from_u64(0);
-        let actor = Net::new(Role::Actor, &metadata.model, &sizes, &mut rng);
-        let critic = Net::new(Role::Critic, &metadata.model, &sizes, &mut rng);
-        snapshot::load_weights(bytes, &actor, &critic)?;
-        let empty = || Tensor::zeros([0, metadata.model.hidden], (Kind::Float, Device::Cpu));
-        let (actor_state, critic_state) = (empty(), empty());
-        Ok(Self { metadata, sizes, actor, critic, network: None, actor_state, critic_state })
+        let (actor, critic) = networks(bytes, &metadata, &sizes)?;
+        Ok(Self {
+            isa,
+            actor: Actor::new(isa, &actor, &metadata.model, &sizes)?,
+            critic: Critic::new(isa, &critic, &metadata.model)?,
+            metadata,
+            network: None,
+            state: RecurrentState::default(),
+            buffers: Buffers::default(),
+        })
     }
 
     /// Version of the weights.
@@ -82,15 +106,25 @@ impl Policy {
     /// # Errors
     /// [`ModelError::TooLarge`] if an intersection exceeds the model's limits.
     pub fn begin_episode(&mut self, layout: &NetworkLayout) -> Result<(), ModelError> {
-        let network = NetworkSpec::new(layout, &self.metadata.env, &self.metadata.model)?;
-        let zeros = || {
-            Tensor::zeros(
-                [network.agents.len() as i64, self.metadata.model.hidden],
-                (Kind::Float, Device::Cpu),
-            )
-        };
-        (self.actor_state, self.critic_state) = (zeros(), zeros());
-        self.network = Some(network);
+        let spec = NetworkSpec::new(layout, &self.metadata.env, &self.metadata.model)?;
+        let zeros = || vec![0.0; spec.agents.len() * self.metadata.model.hidden as usize];
+        self.state = RecurrentState { actor: zeros(), critic: zeros() };
+        let constant = self.actor.constant(&spec);
+        self.network = Some(Begun { spec, constant });
+        Ok(())
+    }
+
+    /// Goes on from a state that [`Policy::recurrent_state`] gave, instead of zero; for acting a recorded fragment again.
+    ///
+    /// # Errors
+    /// [`ModelError::Shape`] if it is not one of the network that [`Policy::begin_episode`] named.
+    pub fn resume(&mut self, state: RecurrentState) -> Result<(), ModelError> {
+        for (own, given) in [(&self.state.actor, &state.actor), (&self.state.critic, &state.critic)] {
+            if own.len() != given.len() {
+                return Err(shape("the recurrent state", given.len(), own.len()));
+            }
+        }
+        self.state = state;
         Ok(())
     }
 
@@ -99,16 +133,18 @@ impl Policy {
     /// # Errors
     /// [`ModelError`] if the bytes are damaged, foreign or of another configuration; the old weights then remain.
     pub fn replace_weights(&mut self, bytes: &[u8]) -> Result<(), ModelError> {
-        let mut other = Self::from_snapshot(bytes)?;
+        let other = Self::with(self.isa, bytes)?;
         if other.metadata.model != self.metadata.model || other.metadata.env != self.metadata.env {
             return Err(ModelError::Mismatch {
                 what: "policy",
                 reason: "its env or model configuration differs from the one in use".to_owned(),
             });
         }
-        std::mem::swap(&mut self.actor, &mut other.actor);
-        std::mem::swap(&mut self.critic, &mut other.critic);
-        self.metadata = other.metadata;
+        let Self { metadata, actor, critic, .. } = other;
+        if let Some(network) = &mut self.network {
+            network.constant = actor.constant(&network.spec);
+        }
+        (self.metadata, self.actor, self.critic) = (metadata, actor, critic);
         Ok(())
     }
 
@@ -118,45 +154,53 @@ impl Policy {
     /// [`ModelError::Shape`] if the observation is not of the network that [`Policy::begin_episode`] named, or holds a
     /// phase that an agent does not have.
     pub fn act(&mut self, observation: &Observation, mode: ActMode<'_>) -> Result<Decision, ModelError> {
-        let Some(network) = &self.network else {
-            return Err(ModelError::Shape {
-                what: "the policy",
-                scenario: "(none begun)".to_owned(),
-                got: 0,
-                wanted: 1,
-            });
-        };
-        check(network, observation)?;
-        let tracks: Vec<Track> = (0..network.agents.len())
-            .map(|agent| Track::new(network, agent, &observation.counts, &observation.phases))
-            .collect();
-        let list: Vec<Sequence<'_>> = tracks
-            .iter()
-            .enumerate()
-            .map(|(agent, track)| Sequence { network, agent, track, start: 0 })
-            .collect();
-        let batch = Batch::new(&list, 1, &self.sizes);
-        let order = index(&batch.order);
-        let (log_probs, actor_states, critic_states) = tch::no_grad(|| {
-            let forward = self.actor.forward(&batch, &self.actor_state.index_select(0, &order));
-            let critic = self.critic.advance(&batch, &self.critic_state.index_select(0, &order));
-            (batch.log_softmax(&forward.scores), forward.states.squeeze_dim(1), critic.squeeze_dim(1))
-        });
-        // Packed order back to layout order.
-        let unpack = |states: &Tensor| states.zeros_like().index_copy(0, &order, states);
-        (self.actor_state, self.critic_state) = (unpack(&actor_states), unpack(&critic_states));
-        Ok(choose(&batch, &floats(&log_probs), mode))
+        let Begun { spec, constant } = self.network.as_ref().ok_or_else(no_episode)?;
+        check(spec, observation)?;
+        let Buffers { seen, actor, critic, log_probs } = &mut self.buffers;
+        spec.look(&observation.counts, &observation.phases, seen);
+        self.actor.forward(spec, constant, seen, &mut self.state.actor, actor);
+        self.critic.advance(spec, seen, &mut self.state.critic, critic);
+        log_softmax(spec, &actor.scores, log_probs);
+        Ok(choose(spec, log_probs, mode))
+    }
+
+    /// Log-probability of every phase at the last decision `[phases of all agents]`, in layout order; before the first
+    /// decision empty.
+    #[must_use]
+    pub fn log_probs(&self) -> &[f32] {
+        &self.buffers.log_probs
     }
 
     /// The recurrent state before the next [`Policy::act`], row-major `[agents, hidden]` each.
     #[must_use]
     pub fn recurrent_state(&self) -> RecurrentState {
-        RecurrentState { actor: floats(&self.actor_state), critic: floats(&self.critic_state) }
+        self.state.clone()
     }
 }
 
-fn check(network: &NetworkSpec, observation: &Observation) -> Result<(), ModelError> {
-    let shape = |what, got, wanted| ModelError::Shape { what, scenario: "observed".to_owned(), got, wanted };
+/// A snapshot's networks.
+pub(crate) fn networks(
+    bytes: &[u8],
+    metadata: &PolicyMetadata,
+    sizes: &FeatureSizes,
+) -> Result<(Net, Net), ModelError> {
+    // The weights are overwritten at once, so the seed does not matter.
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let actor = Net::new(Role::Actor, &metadata.model, sizes, &mut rng);
+    let critic = Net::new(Role::Critic, &metadata.model, sizes, &mut rng);
+    snapshot::load_weights(bytes, &actor, &critic)?;
+    Ok((actor, critic))
+}
+
+pub(crate) fn no_episode() -> ModelError {
+    ModelError::Shape { what: "the policy", scenario: "(none begun)".to_owned(), got: 0, wanted: 1 }
+}
+
+fn shape(what: &'static str, got: usize, wanted: usize) -> ModelError {
+    ModelError::Shape { what, scenario: "observed".to_owned(), got, wanted }
+}
+
+pub(crate) fn check(network: &NetworkSpec, observation: &Observation) -> Result<(), ModelError> {
     let wanted = network.lane_rows * network.bands;
     if observation.counts.len() != wanted {
         return Err(shape("the observation's counts", observation.counts.len(), wanted));
@@ -172,20 +216,29 @@ fn check(network: &NetworkSpec, observation: &Observation) -> Result<(), ModelEr
     Ok(())
 }
 
-fn choose(batch: &Batch, log_probs: &[f32], mut mode: ActMode<'_>) -> Decision {
-    let agents = batch.order.len();
-    let mut ranges = vec![0..0; agents];
-    for group in &batch.groups {
-        for sample in 0..group.samples {
-            let first = (group.first_row + sample * group.phases) as usize;
-            ranges[batch.order[(group.first_sample + sample) as usize]] =
-                first..first + group.phases as usize;
-        }
+/// Log-probabilities of each agent's phases from their scores.
+fn log_softmax(network: &NetworkSpec, scores: &[f32], out: &mut Vec<f32>) {
+    out.clear();
+    let mut rest = scores;
+    for agent in &network.agents {
+        let (own, others) = rest.split_at(agent.phases);
+        rest = others;
+        let most = own.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let total: f32 = own.iter().map(|score| (score - most).exp()).sum();
+        out.extend(own.iter().map(|score| score - most - total.ln()));
     }
-    let mut decision = Decision::default();
-    // In layout order, so that the draws do not depend on how the batch is packed.
-    for range in ranges {
-        let own = &log_probs[range];
+}
+
+/// Chooses from log-probabilities in layout order.
+pub(crate) fn choose(network: &NetworkSpec, log_probs: &[f32], mut mode: ActMode<'_>) -> Decision {
+    let mut decision = Decision {
+        actions: Vec::with_capacity(network.agents.len()),
+        log_probs: Vec::with_capacity(network.agents.len()),
+    };
+    let mut rest = log_probs;
+    for agent in &network.agents {
+        let (own, others) = rest.split_at(agent.phases);
+        rest = others;
         let action = match &mut mode {
             ActMode::Greedy => (1..own.len()).fold(0, |best, p| if own[p] > own[best] { p } else { best }),
             ActMode::Sample(rng) => sample(own, rng.random::<f32>()),
@@ -207,10 +260,6 @@ fn sample(log_probs: &[f32], draw: f32) -> usize {
     }
     // Rounding can leave a little over: the last phase that is possible at all.
     log_probs.iter().rposition(|lp| *lp > f32::NEG_INFINITY).unwrap_or(0)
-}
-
-fn index(order: &[usize]) -> Tensor {
-    Tensor::from_slice(&order.iter().map(|&i| i as i64).collect::<Vec<_>>())
 }
 
 pub(crate) fn floats(tensor: &Tensor) -> Vec<f32> {

@@ -105,7 +105,7 @@ impl NetworkSpec {
     /// Prepares a layout.
     ///
     /// # Errors
-    /// [`ModelError::TooLarge`] names the intersection that exceeds the limits.
+    /// [`ModelError::TooLarge`] or [`ModelError::TooManyRoads`] names the intersection that exceeds the limits.
     pub fn new(layout: &NetworkLayout, env: &EnvConfig, model: &ModelConfig) -> Result<Self, ModelError> {
         let mut first_lane_row = 0;
         let mut agents = Vec::with_capacity(layout.agents());
@@ -120,6 +120,24 @@ impl NetworkSpec {
             gfe: model.gfe,
             max_movements: env.max_movements,
         })
+    }
+
+    /// Features of one observation, counts `[lane rows * bands]` and current phases `[agents]`: those of all agents one
+    /// after another, in layout order. What `seen` holds is replaced.
+    pub fn look(&self, counts: &[u16], phases: &[u8], seen: &mut Track) {
+        seen.clear();
+        seen.rows = 1;
+        for (spec, &current) in self.agents.iter().zip(phases) {
+            let start = spec.first_lane_row * self.bands;
+            let own = &counts[start..start + spec.lanes * self.bands];
+            seen.push(self, spec, own, usize::from(current));
+        }
+    }
+
+    /// Green of every movement in every phase of all agents `[all phases, max_movements]`.
+    #[must_use]
+    pub fn phase_states(&self) -> Vec<f32> {
+        self.agents.iter().flat_map(|agent| agent.phase_state.iter().copied()).collect()
     }
 }
 
@@ -145,6 +163,11 @@ impl AgentSpec {
                 max_movements: env.max_movements,
                 max_phases: env.max_phases,
             });
+        }
+        let (roads_in, roads_out) = (intersection.roads_in.len(), intersection.roads_out.len());
+        if model.gfe == Gfe::Paper && roads_in.max(roads_out) > MAX_ROADS {
+            let id = intersection.id.clone();
+            return Err(ModelError::TooManyRoads { id, roads_in, roads_out, max: MAX_ROADS });
         }
         let incoming = intersection.incoming.len();
         Ok(Self {
@@ -191,11 +214,24 @@ impl Track {
             let start = row * width + spec.first_lane_row * network.bands;
             let own = &counts[start..start + spec.lanes * network.bands];
             let current = usize::from(phases[row * network.agents.len() + index]);
-            match network.gfe {
-                Gfe::Paper => paper::push_state(spec, network, own, current, &mut track.states),
-                Gfe::Movement => movement::push(spec, network.bands, own, current, &mut track),
-            }
+            track.push(network, spec, own, current);
         }
         track
+    }
+
+    /// Appends one observation of one agent: its counts `[lanes * bands]` and its current phase.
+    fn push(&mut self, network: &NetworkSpec, spec: &AgentSpec, counts: &[u16], current: usize) {
+        match network.gfe {
+            Gfe::Paper => paper::push_state(spec, network, counts, current, &mut self.states),
+            Gfe::Movement => movement::push(spec, network.bands, counts, current, self),
+        }
+    }
+
+    fn clear(&mut self) {
+        let Self { rows, phases, context, lanes, states } = self;
+        *rows = 0;
+        for part in [phases, context, lanes, states] {
+            part.clear();
+        }
     }
 }
