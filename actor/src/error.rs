@@ -17,6 +17,15 @@ pub enum ActorError {
     /// The configuration file given with `--config`, or the one that the learner sent, is not usable.
     #[error(transparent)]
     Config(#[from] cross_config::ConfigError),
+    /// Certificates, keys, the token or the learner's address cannot be used.
+    #[error(transparent)]
+    Security(#[from] cross_support::SecurityError),
+    /// Learner and actor do not trust each other's certificates.
+    #[error("no TLS with the learner: {problem}")]
+    Certificate {
+        /// Whose certificate is at fault, and what to do.
+        problem: String,
+    },
     /// No SUMO was found, or it does not start at all.
     #[error(transparent)]
     Locate(#[from] cross_traci::sumo::LocateError),
@@ -162,6 +171,8 @@ impl ActorError {
         match self {
             Self::Option { .. }
             | Self::Config(_)
+            | Self::Security(_)
+            | Self::Certificate { .. }
             | Self::Locate(_)
             | Self::Listen { .. }
             | Self::AddressFile { .. }

@@ -6,11 +6,13 @@ use cross_config::Config;
 use cross_proto::client::LearnerClient;
 use cross_proto::status::Reason;
 use cross_proto::v1;
+use cross_support::client::{ClientSecurity, Connection};
+use cross_support::problem;
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 use std::time::Duration;
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::Endpoint;
 use tonic::{Code, Status};
 
 /// Time to open a connection.
@@ -31,6 +33,8 @@ pub(crate) struct Joiner {
     pub(crate) learner: String,
     /// The same, ready to connect.
     pub(crate) endpoint: Endpoint,
+    /// Adds the token to what is sent there.
+    pub(crate) security: ClientSecurity,
     pub(crate) actor_id: String,
     /// Scenarios this actor may run; empty for all.
     pub(crate) scenarios: Vec<String>,
@@ -47,7 +51,7 @@ pub(crate) struct Joiner {
 /// A connection that has been admitted.
 #[derive(Debug)]
 pub(crate) struct Joined {
-    pub(crate) client: LearnerClient<Channel>,
+    pub(crate) client: LearnerClient<Connection>,
     pub(crate) session: Arc<Session>,
 }
 
@@ -63,20 +67,13 @@ pub(crate) enum Attempt {
     },
 }
 
-/// The endpoint of an address as typed: `http://host:port`, the scheme may be left out.
-pub(crate) fn endpoint(learner: &str) -> Result<Endpoint, ActorError> {
-    let problem = |problem: String| ActorError::Option { option: "--learner", problem };
-    if learner.starts_with("https://") {
-        return Err(problem(format!("is {learner}, but this build speaks http only; use http://HOST:PORT")));
-    }
-    let address = if learner.contains("://") { learner.to_owned() } else { format!("http://{learner}") };
-    let endpoint = Endpoint::from_shared(address)
-        .map_err(|_| problem(format!("is {learner:?}, which is no address; write it as http://HOST:PORT")))?;
-    if endpoint.uri().host().is_none_or(str::is_empty) || endpoint.uri().port_u16().is_none() {
-        return Err(problem(format!(
-            "is {learner:?}, which lacks host or port; write it as http://HOST:PORT"
-        )));
-    }
+/// The endpoint of an address as typed, with the patience that an actor has.
+pub(crate) fn endpoint(
+    learner: &str,
+    security: &ClientSecurity,
+    insecure: bool,
+) -> Result<Endpoint, ActorError> {
+    let endpoint = security.endpoint(learner, insecure)?;
     Ok(endpoint
         .connect_timeout(CONNECT_TIMEOUT)
         .http2_keep_alive_interval(KEEPALIVE_INTERVAL)
@@ -102,17 +99,21 @@ impl Joiner {
         let channel = match self.endpoint.connect().await {
             Ok(channel) => channel,
             Err(error) => {
+                if let Some(problem) = problem::of_server(&error, &self.learner) {
+                    return Err(ActorError::Certificate { problem });
+                }
                 let why = format!("cannot connect ({})", root_cause(&error));
                 return Ok(Attempt::NotYet { why, at_least: Duration::ZERO, answered: false });
             }
         };
         if let Some(session) = known {
-            let client = client(channel, session.max_message_bytes);
+            let client = client(self.security.connection(channel), session.max_message_bytes);
             return Ok(Attempt::Joined(Joined { client, session: Arc::clone(session) }));
         }
         let mut request = tonic::Request::new(self.request());
         request.set_timeout(JOIN_TIMEOUT);
-        let response = match LearnerClient::new(channel.clone()).join(request).await {
+        let connection = self.security.connection(channel);
+        let response = match LearnerClient::new(connection.clone()).join(request).await {
             Ok(response) => response.into_inner(),
             Err(status) if is_fatal(&status) => {
                 return Err(ActorError::Refused {
@@ -121,6 +122,10 @@ impl Joiner {
                 });
             }
             Err(status) => {
+                // In TLS 1.3 a server looks at the client's certificate when the client already thinks itself connected.
+                if let Some(problem) = problem::of_server(&status, &self.learner) {
+                    return Err(ActorError::Certificate { problem });
+                }
                 let at_least = cross_proto::status::retry_delay(&status).unwrap_or_default();
                 // Only a learner gives reasons; what transports and proxies say on their own has none.
                 let answered = cross_proto::status::reason(&status).is_some();
@@ -136,7 +141,7 @@ impl Joiner {
             scenarios = ?session.scenarios.keys().collect::<Vec<_>>(),
             "joined"
         );
-        let client = client(channel, session.max_message_bytes);
+        let client = client(connection, session.max_message_bytes);
         Ok(Attempt::Joined(Joined { client, session }))
     }
 
@@ -213,9 +218,9 @@ fn prepare_scenarios(
         .collect()
 }
 
-fn client(channel: Channel, max_message_bytes: usize) -> LearnerClient<Channel> {
+fn client(connection: Connection, max_message_bytes: usize) -> LearnerClient<Connection> {
     // Explicit at both ends: the default of 4 MiB holds for streams too and would break large networks.
-    LearnerClient::new(channel)
+    LearnerClient::new(connection)
         .max_decoding_message_size(max_message_bytes + MESSAGE_MARGIN)
         .max_encoding_message_size(max_message_bytes)
 }
@@ -278,17 +283,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_need_a_host_and_a_port_and_no_tls() {
-        for good in ["http://127.0.0.1:7000", "127.0.0.1:7000", "http://learner:7000", "http://[::1]:7000"] {
-            assert!(endpoint(good).is_ok(), "{good}");
-        }
-        for bad in ["", "http://", "learner", "http://learner", "https://learner:7000", "a b:1"] {
-            let error = endpoint(bad).err().map(|e| (e.exit_code(), e.to_string()));
-            assert!(
-                error.as_ref().is_some_and(|(code, text)| *code == 2 && text.contains("--learner")),
-                "{bad}"
-            );
-        }
+    fn a_bad_address_is_bad_input() {
+        let error = endpoint("learner", &ClientSecurity::default(), false).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        assert!(error.to_string().contains("learner"), "{error}");
     }
 
     #[test]

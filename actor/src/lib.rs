@@ -33,6 +33,9 @@ pub use session::Ending;
 pub use telemetry::Telemetry;
 
 use cross_config::Config;
+use cross_support::client::ClientSecurity;
+use cross_support::server::{Protocol, ServerSecurity};
+use cross_support::token::Tokens;
 use cross_traci::sumo::SumoHome;
 use std::sync::Arc;
 use std::time::Duration;
@@ -45,7 +48,8 @@ use tokio_util::sync::CancellationToken;
 /// [`ActorError`], whose exit code tells bad input from failure.
 pub async fn run(options: Options, stop: CancellationToken) -> Result<Ending, ActorError> {
     options.validate()?;
-    let endpoint = join::endpoint(&options.learner)?;
+    let security = ClientSecurity::load(&options.security, Tokens::variable())?;
+    let endpoint = join::endpoint(&options.learner, &security, options.insecure)?;
     let config_hash = match &options.config {
         Some(path) => Config::from_file(path)?.compatibility_hash(),
         None => String::new(),
@@ -60,14 +64,21 @@ pub async fn run(options: Options, stop: CancellationToken) -> Result<Ending, Ac
 
     let listener = admin::bind(options.metrics_listen, options.address_file.as_deref()).await?;
     let admin_stop = CancellationToken::new();
-    let admin =
-        tokio::spawn(admin::serve(listener, Arc::clone(&telemetry), admin_stop.clone().cancelled_owned()));
+    // The port tells counts and is open: on loopback, or where --insecure allows more.
+    let open = ServerSecurity::default();
+    let incoming = open
+        .incoming(listener, Protocol::Http, cross_support::admin::CONNECTIONS)
+        .map_err(|source| ActorError::Listen { address: options.metrics_listen, source })?;
+    let subject = admin::Admin(Arc::clone(&telemetry));
+    let until = admin_stop.clone().cancelled_owned();
+    let admin = tokio::spawn(cross_support::admin::serve(incoming, open, subject, until));
 
     let (simulator_end, network_end) = link::pair(stop.clone(), Handle::current());
     let network = session::Network {
         joiner: join::Joiner {
             learner: options.learner.clone(),
             endpoint,
+            security,
             actor_id: actor_id.clone(),
             scenarios: options.scenario.clone(),
             scenario_dir: options.scenarios.clone(),

@@ -2,6 +2,7 @@
 
 use crate::error::ActorError;
 use clap::{Parser, ValueEnum};
+use cross_support::options::ClientOptions;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
@@ -14,7 +15,7 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, Parser)]
 #[command(name = "cross-actor", version, max_term_width = 110)]
 pub struct Options {
-    /// Address of the learner, as http://HOST:PORT
+    /// Address of the learner, as https://HOST:PORT, or http://HOST:PORT if it does not speak TLS
     #[arg(long, value_name = "URL", env = "CROSS_LEARNER")]
     pub learner: String,
 
@@ -46,8 +47,9 @@ pub struct Options {
     #[arg(long, value_name = "FILE")]
     pub address_file: Option<PathBuf>,
 
-    /// Allow --metrics-listen on an address that other machines reach; it is not encrypted
-    #[arg(long)]
+    /// Allow --metrics-listen on an address that other machines reach, and a token sent to another machine over http://:
+    /// neither is encrypted
+    #[arg(long, env = "CROSS_INSECURE")]
     pub insecure: bool,
 
     /// Seconds without a learner after which the actor ends [default: actor.give_up_seconds of the configuration]
@@ -65,6 +67,10 @@ pub struct Options {
     /// What is logged: error, warn, info, debug, trace, or a filter like cross_actor=debug
     #[arg(long, value_name = "FILTER", default_value = "info", env = "CROSS_LOG")]
     pub log: String,
+
+    /// TLS and token.
+    #[command(flatten)]
+    pub security: ClientOptions,
 }
 
 const LOOPBACK: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);

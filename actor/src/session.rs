@@ -253,7 +253,7 @@ impl Network {
                 self.forget_session();
                 contact.another_session = true;
             }
-            Some(Reason::InvalidField | Reason::UnexpectedMessage) => {
+            Some(Reason::InvalidField | Reason::UnexpectedMessage | Reason::MessageTooLarge) => {
                 // Sending the same again would be refused again; the episode cannot be continued without it.
                 let dropped = uplink.discard_unacked();
                 self.telemetry.dropped(Dropped::Refused, dropped);

@@ -7,13 +7,13 @@ use crate::uplink::{Accepted, Uplink};
 use cross_proto::client::LearnerClient;
 use cross_proto::v1::stream_fragments_response::Message;
 use cross_proto::v1::{self, Outcome};
+use cross_support::client::Connection;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
-use tonic::transport::Channel;
 use tonic::{Status, Streaming};
 
 /// Time for the learner to answer a hello.
@@ -36,7 +36,7 @@ pub(crate) enum StreamEnd {
 
 /// What a stream works with.
 pub(crate) struct Stream<'a> {
-    pub(crate) client: LearnerClient<Channel>,
+    pub(crate) client: LearnerClient<Connection>,
     pub(crate) session: &'a Session,
     pub(crate) uplink: &'a mut Uplink,
     pub(crate) session_slot: &'a watch::Sender<Option<Arc<Session>>>,

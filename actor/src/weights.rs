@@ -7,9 +7,9 @@ use cross_proto::Violation;
 use cross_proto::client::LearnerClient;
 use cross_proto::v1;
 use cross_proto::weights::Assembler;
+use cross_support::client::Connection;
 use tokio::sync::watch;
 use tonic::Status;
-use tonic::transport::Channel;
 
 /// Larger snapshots are refused: a bound on what a confused peer can make this process allocate.
 const MAX_SNAPSHOT_BYTES: usize = 1 << 30;
@@ -18,7 +18,7 @@ const MAX_SNAPSHOT_BYTES: usize = 1 << 30;
 ///
 /// A damaged snapshot costs only its own stream, opened again after a pause of `backoff`: the fragments flow on.
 pub(crate) async fn watch(
-    mut client: LearnerClient<Channel>,
+    mut client: LearnerClient<Connection>,
     actor_id: &str,
     epoch: u64,
     slot: &watch::Sender<Option<Snapshot>>,
@@ -39,7 +39,7 @@ pub(crate) async fn watch(
 
 /// Receives until a snapshot is damaged, which it describes.
 async fn receive(
-    client: &mut LearnerClient<Channel>,
+    client: &mut LearnerClient<Connection>,
     actor_id: &str,
     epoch: u64,
     slot: &watch::Sender<Option<Snapshot>>,

@@ -17,7 +17,14 @@ use tokio_util::sync::CancellationToken;
 async fn start_learner(config: &Config, run: &Path) -> (Learner, String) {
     let scenarios = load_scenarios(config, None).unwrap();
     let (config, run) = (config.clone(), run.to_owned());
-    let setup = Setup { config, scenarios, run, run_id: "test".to_owned(), resumed: None };
+    let setup = Setup {
+        config,
+        scenarios,
+        run,
+        run_id: "test".to_owned(),
+        resumed: None,
+        security: Default::default(),
+    };
     let grpc = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let metrics = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = format!("http://{}", grpc.local_addr().unwrap());

@@ -1,6 +1,6 @@
 //! A whole learner: model thread, coordinator, gRPC and admin servers, from start to end.
 
-use crate::admin;
+use crate::admin::Admin;
 use crate::admission::{Admission, ScenarioSettings, Settings};
 use crate::checkpoint::{CheckpointError, Resumed, Store, reader};
 use crate::coordinator::{Channels, Coordinator, Ending, Handle, Life, REQUEST_QUEUE};
@@ -15,6 +15,8 @@ use cross_proto::v1;
 use cross_sim::SimError;
 use cross_sim::layout::{NetworkLayout, load_layout};
 use cross_sim::scenario::ScenarioPath;
+use cross_support::admin;
+use cross_support::server::{Protocol, ServerSecurity};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -41,6 +43,8 @@ pub struct Setup {
     pub run_id: String,
     /// Checkpoint to go on from.
     pub resumed: Option<Resumed>,
+    /// How its ports are protected.
+    pub security: ServerSecurity,
 }
 
 /// Why a learner cannot start.
@@ -63,6 +67,9 @@ pub enum StartError {
         /// Why not.
         source: std::io::Error,
     },
+    /// A socket cannot be used.
+    #[error("cannot use a listening socket: {0}")]
+    Socket(std::io::Error),
     /// The system is out of threads.
     #[error("cannot start the trainer thread: {0}")]
     Thread(std::io::Error),
@@ -72,7 +79,7 @@ impl StartError {
     /// Whether a person has to change the scenarios or the run directory; otherwise a later try may do.
     #[must_use]
     pub fn is_input(&self) -> bool {
-        !matches!(self, Self::Thread(_))
+        !matches!(self, Self::Thread(_) | Self::Socket(_))
     }
 }
 
@@ -119,7 +126,7 @@ impl Learner {
     /// # Errors
     /// If the run directory cannot be written or the thread not started.
     pub fn start(setup: Setup, grpc: TcpListener, metrics: TcpListener) -> Result<Self, StartError> {
-        let Setup { config, scenarios, run, run_id, resumed } = setup;
+        let Setup { config, scenarios, run, run_id, resumed, security } = setup;
         let mut names: Vec<&str> = scenarios.iter().map(|(name, _)| name.as_str()).collect();
         names.sort_unstable();
         if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
@@ -135,6 +142,10 @@ impl Learner {
         let log = MetricsLog::open(&run, progress.updates)
             .map_err(|source| StartError::MetricsLog { path: run.join(crate::metrics_log::FILE), source })?;
 
+        let connections = config.learner.max_connections;
+        let grpc = security.incoming(grpc, Protocol::Grpc, connections).map_err(StartError::Socket)?;
+        let metrics =
+            security.incoming(metrics, Protocol::Http, admin::CONNECTIONS).map_err(StartError::Socket)?;
         let session_epoch = epoch_now();
         let settings = settings(&config, &scenarios, session_epoch);
         let unacked_fragments = settings.unacked_fragments;
@@ -185,11 +196,11 @@ impl Learner {
             status,
             closing: closing.clone(),
         };
-        let admin = admin::serve(metrics, telemetry.clone(), life.clone(), closing.clone());
+        let subject = Admin { telemetry: telemetry.clone(), life: life.clone() };
+        let admin = admin::serve(metrics, security.clone(), subject, closing.clone().cancelled_owned());
         let servers = tokio::spawn(async move {
-            let (services, admin) = tokio::join!(service::serve(shared, grpc), admin);
-            services.context("the gRPC server failed")?;
-            admin.context("the admin server failed")
+            let (services, ()) = tokio::join!(service::serve(shared, grpc, security), admin);
+            services.context("the gRPC server failed")
         });
         Ok(Self { session_epoch, life, drain, closing, telemetry, coordinator, servers, trainer })
     }

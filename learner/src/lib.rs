@@ -14,7 +14,6 @@ mod admin;
 pub mod admission;
 pub mod checkpoint;
 mod coordinator;
-mod files;
 mod learner;
 pub mod metrics_log;
 pub mod publish;

@@ -7,6 +7,9 @@ use clap::Parser;
 use cross_config::Config;
 use cross_learner::run_dir::{Listening, RunDir};
 use cross_learner::{Ending, Learner, Setup, checkpoint, find_checkpoint, load_scenarios};
+use cross_model::Placement;
+use cross_support::server::ServerSecurity;
+use cross_support::token::Tokens;
 use options::{LogFormat, Options};
 use std::io::Write;
 use std::net::SocketAddr;
@@ -56,13 +59,19 @@ fn main() -> ExitCode {
 }
 
 async fn run(options: &Options) -> Result<(), Failure> {
-    if let Some((option, address)) = options.exposed() {
+    let security = ServerSecurity::load(&options.security, Tokens::variable()).map_err(input)?;
+    if let Some((option, address)) = options.exposed(&security) {
         return Err(input(anyhow::anyhow!(
-            "{option} {address} can be reached from other machines, and nothing is encrypted; \
-             use a loopback address, or pass --insecure inside a network that you trust"
+            "{option} {address} can be reached from other machines, and strangers are not kept out (protection: {}); \
+             give --tls-cert, --tls-key and --token-file or --tls-client-ca, or use a loopback address, \
+             or pass --insecure inside a network that you trust",
+            security.describe()
         )));
     }
-    let config = Config::from_file(&options.config).map_err(input)?;
+    let mut config = Config::from_file(&options.config).map_err(input)?;
+    config.learner.device = options.device.unwrap_or(config.learner.device);
+    // Before anything is touched; the trainer comes to the same.
+    let placement = Placement::resolve(&config.learner).map_err(input)?;
     let scenarios = load_scenarios(&config, options.scenarios.as_deref()).map_err(input)?;
     let run = RunDir::open(&options.run).map_err(input)?;
     let resumed = if options.resume {
@@ -90,9 +99,13 @@ async fn run(options: &Options) -> Result<(), Failure> {
         seed = config.seed,
         serial = config.learner.serial,
         config_hash = config.hash(),
+        device = placement.device_name(),
+        precision = placement.precision_name(),
+        protection = security.describe(),
         "starting"
     );
-    let setup = Setup { config, scenarios, run: run.path().to_owned(), run_id: run_id.clone(), resumed };
+    let setup =
+        Setup { config, scenarios, run: run.path().to_owned(), run_id: run_id.clone(), resumed, security };
     let learner = Learner::start(setup, grpc, metrics)
         .map_err(|error| if error.is_input() { input(error) } else { Failure::Other(error.into()) })?;
     let (session_epoch, drain) = (learner.session_epoch(), learner.drain());

@@ -1,6 +1,9 @@
 //! Command line.
 
 use clap::{Parser, ValueEnum};
+use cross_config::ComputeDevice;
+use cross_support::options::ServerOptions;
+use cross_support::server::ServerSecurity;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
@@ -32,6 +35,10 @@ pub(crate) struct Options {
     #[arg(long)]
     pub(crate) resume: bool,
 
+    /// Where updates are computed, whatever learner.device says: auto (CUDA if there is a device), cpu or cuda
+    #[arg(long, value_name = "DEVICE")]
+    pub(crate) device: Option<ComputeDevice>,
+
     /// Address for actors and clients (gRPC); port 0 takes a free one, which learner.json tells
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0", env = "CROSS_LEARNER_LISTEN")]
     pub(crate) listen: SocketAddr,
@@ -40,7 +47,8 @@ pub(crate) struct Options {
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0", env = "CROSS_LEARNER_METRICS_LISTEN")]
     pub(crate) metrics_listen: SocketAddr,
 
-    /// Allow addresses that other machines can reach, without encryption: only inside a network that you trust
+    /// Allow addresses that other machines can reach without TLS, or without a token or client certificates: only inside
+    /// a network that you trust
     #[arg(long, env = "CROSS_INSECURE")]
     pub(crate) insecure: bool,
 
@@ -55,6 +63,9 @@ pub(crate) struct Options {
     /// What is logged: error, warn, info, debug, trace, or a filter like cross_learner=debug
     #[arg(long, value_name = "FILTER", default_value = "info", env = "CROSS_LOG")]
     pub(crate) log: String,
+
+    #[command(flatten)]
+    pub(crate) security: ServerOptions,
 }
 
 const AFTER_HELP: &str = "\
@@ -72,15 +83,17 @@ Exit codes:
 Examples:
   cross-learner --config configs/default.toml --run runs/first
   cross-learner --config runs/first/config.toml --run runs/first --resume
-  cross-learner --config c.toml --run r --listen 0.0.0.0:7400 --metrics-listen 0.0.0.0:7401 --insecure
+  cross-learner --config c.toml --run r --listen 0.0.0.0:7400 --metrics-listen 0.0.0.0:7401 \
+      --tls-cert learner.pem --tls-key learner.key --token-file token
   cross-actor --learner http://127.0.0.1:7400 --actor-id a0";
 
 impl Options {
-    /// The first address that other machines could reach, unless that was allowed.
-    pub(crate) fn exposed(&self) -> Option<(&'static str, SocketAddr)> {
+    /// The first address that other machines could reach though strangers are not kept out, unless that was allowed.
+    pub(crate) fn exposed(&self, security: &ServerSecurity) -> Option<(&'static str, SocketAddr)> {
+        let allowed = self.insecure || security.keeps_strangers_out();
         [("--listen", self.listen), ("--metrics-listen", self.metrics_listen)]
             .into_iter()
-            .find(|(_, address)| !self.insecure && !address.ip().is_loopback())
+            .find(|(_, address)| !allowed && !address.ip().is_loopback())
     }
 }
 
@@ -100,11 +113,24 @@ mod tests {
     }
 
     #[test]
+    fn a_device_is_named_like_in_the_configuration() {
+        assert_eq!(parse(&["--device", "cuda"]).device, Some(ComputeDevice::Cuda));
+        assert_eq!(parse(&[]).device, None);
+        let wrong = ["cross-learner", "--config", "c.toml", "--run", "r", "--device", "gpu"];
+        assert!(Options::try_parse_from(wrong).unwrap_err().to_string().contains("auto, cpu or cuda"));
+    }
+
+    #[test]
     fn other_machines_need_a_word_of_consent() {
-        assert_eq!(parse(&[]).exposed(), None);
-        assert_eq!(parse(&["--listen", "[::1]:1"]).exposed(), None);
-        let exposed = parse(&["--metrics-listen", "0.0.0.0:1"]).exposed().unwrap();
+        let open = ServerSecurity::default();
+        assert_eq!(parse(&[]).exposed(&open), None);
+        assert_eq!(parse(&["--listen", "[::1]:1"]).exposed(&open), None);
+        let exposed = parse(&["--metrics-listen", "0.0.0.0:1"]).exposed(&open).unwrap();
         assert_eq!(exposed.0, "--metrics-listen");
-        assert_eq!(parse(&["--listen", "0.0.0.0:1", "--insecure"]).exposed(), None);
+        assert_eq!(parse(&["--listen", "0.0.0.0:1", "--insecure"]).exposed(&open), None);
+        // A token alone would be read on the way.
+        let token = Some("0123456789abcdef".to_owned());
+        let token = ServerSecurity::load(&ServerOptions::default(), token).unwrap();
+        assert!(parse(&["--listen", "0.0.0.0:1"]).exposed(&token).is_some());
     }
 }

@@ -1,6 +1,6 @@
 //! The run directory: one learner at a time, its identity, and where it listens.
 
-use crate::files::replace_file;
+use cross_support::files::replace_file;
 use rustix::fs::FlockOperation;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};

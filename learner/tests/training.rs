@@ -76,7 +76,7 @@ async fn training_ends_with_a_goodbye_and_the_last_checkpoint() {
     assert_eq!(seen.first().map(|s| s.0), Some(0));
     assert_eq!(seen.last(), Some(&(3, Phase::Complete)));
     // A complete run that is started again has nothing to do.
-    let again = TestLearner::launch(config, run.path()).await;
+    let again = TestLearner::launch(config, run.path(), Default::default()).await;
     assert_eq!(again.ended().await, Ending::Complete);
 }
 

@@ -19,7 +19,7 @@ pub const CONNECTIONS: usize = 64;
 
 /// What the admin port tells about a process.
 pub trait Subject: Clone + Send + Sync + 'static {
-    /// Prometheus' text format.
+    /// What the process counts, in Prometheus' text format; what the operating system knows of it is added.
     fn metrics(&self) -> String;
 
     /// Folds histograms; called every few seconds. Nothing to do where few samples come between two scrapes.
@@ -84,7 +84,7 @@ async fn metrics<S: Subject>(
             .into_response();
     }
     let kind = [(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")];
-    (kind, admin.subject.metrics()).into_response()
+    (kind, admin.subject.metrics() + &crate::process::metrics()).into_response()
 }
 
 async fn ready<S: Subject>(State(admin): State<Admin<S>>) -> Response {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   files        a reader, or a crash, never meets half of one
-//!   admin        /metrics, /ready, /live
+//!   admin        /metrics (with process), /ready, /live
 //!   options ──> pem, token ──> server ── incoming ──> gRPC and admin ports
 //!                         └──> client ──────────────> endpoint, bearer token
 //!   problem      what a failed handshake means, in words
@@ -17,6 +17,7 @@ pub mod incoming;
 pub mod options;
 mod pem;
 pub mod problem;
+mod process;
 pub mod server;
 pub mod token;
 

@@ -3,8 +3,8 @@
 use super::error::CheckpointError;
 use super::metadata::{FileInfo, Metadata};
 use super::{FOLDER, LATEST_FILE, METADATA_FILE, MODEL_FILE, OPTIMIZER_FILE, updates_of};
-use crate::files::replace_file;
 use cross_model::TrainerFiles;
+use cross_support::files::replace_file;
 use safetensors::SafeTensors;
 use std::io;
 use std::path::{Path, PathBuf};

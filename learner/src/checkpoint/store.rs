@@ -3,8 +3,8 @@
 use super::error::CheckpointError;
 use super::metadata::{FileInfo, Metadata};
 use super::{FOLDER, LATEST_FILE, METADATA_FILE, MODEL_FILE, OPTIMIZER_FILE, id, updates_of};
-use crate::files::{ASIDE, remove_any, replace_file, sync_directory, write_synced};
 use cross_model::TrainerFiles;
+use cross_support::files::{ASIDE, remove_any, replace_file, sync_directory, write_synced};
 use std::io;
 use std::path::{Path, PathBuf};
 

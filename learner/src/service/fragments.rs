@@ -93,8 +93,12 @@ impl Reader {
                 Ok(None) if leaving => return Ended::Left,
                 // Also how a cancelled request looks here.
                 Ok(None) => return Ended::Broken,
-                // What cannot be decoded, or is too large, is the actor's fault; everything else the connection's.
-                Err(status) if matches!(status.code(), tonic::Code::Internal | tonic::Code::OutOfRange) => {
+                // What is too large or cannot be decoded is the actor's fault; everything else the connection's.
+                Err(status) if status.code() == tonic::Code::OutOfRange => {
+                    let status = status::message_too_large(self.shared.config.learner.max_message_bytes);
+                    return Ended::Refused { status, scenario: None };
+                }
+                Err(status) if status.code() == tonic::Code::Internal => {
                     let status = unexpected(&format!("a message cannot be read: {}", status.message()));
                     return Ended::Refused { status, scenario: None };
                 }

@@ -2,7 +2,9 @@
 
 mod checkpoints;
 mod fragments;
+mod guard;
 mod learner;
+mod rates;
 mod training;
 mod weights;
 
@@ -12,16 +14,23 @@ use cross_config::Config;
 use cross_proto::fragment::FragmentSpec;
 use cross_proto::server::{CheckpointsServer, LearnerServer, TrainingServer};
 use cross_proto::{service as names, status, v1};
+use cross_support::incoming::Incoming;
+use cross_support::server::ServerSecurity;
+use guard::{GuardLayer, Limits};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
-use tonic::transport::server::{Server, TcpIncoming};
+use tonic::transport::server::Server;
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, HealthService};
+
+/// Calls that one connection may have open; an actor has two streams. A client with more of them waits.
+const CALLS_A_CONNECTION: u32 = 100;
+/// Largest headers of a call, bytes; a token and a few names.
+const HEADER_BYTES: u32 = 16 * 1024;
 
 /// How long a refused caller should stay away.
 const COME_AGAIN: Duration = Duration::from_secs(2);
@@ -66,8 +75,17 @@ impl From<Gone> for Status {
 ///
 /// # Errors
 /// If the server cannot be set up or accepting fails for good.
-pub(crate) async fn serve(shared: Shared, listener: TcpListener) -> anyhow::Result<()> {
+pub(crate) async fn serve(
+    shared: Shared,
+    incoming: Incoming,
+    security: ServerSecurity,
+) -> anyhow::Result<()> {
     let limit = shared.config.learner.max_message_bytes;
+    let limits = Limits {
+        streams: shared.config.learner.max_streams,
+        requests_per_second: shared.config.learner.requests_per_second,
+        message_bytes: limit,
+    };
     // What the learner sends in one message is bounded by itself: a chunk and its frame, however small the limit on actors.
     let outgoing = limit.max(2 * cross_proto::weights::CHUNK_BYTES);
     let health = HealthReporter::new();
@@ -94,6 +112,9 @@ pub(crate) async fn serve(shared: Shared, listener: TcpListener) -> anyhow::Resu
     let served = Server::builder()
         .http2_keepalive_interval(Some(keepalive))
         .http2_keepalive_timeout(Some(keepalive))
+        .max_concurrent_streams(CALLS_A_CONNECTION)
+        .http2_max_header_list_size(HEADER_BYTES)
+        .layer(GuardLayer::new(security, limits))
         .add_service(tonic_health::pb::health_server::HealthServer::new(HealthService::from_health_reporter(
             health,
         )))
@@ -102,10 +123,7 @@ pub(crate) async fn serve(shared: Shared, listener: TcpListener) -> anyhow::Resu
         .add_service(learner)
         .add_service(checkpoints)
         .add_service(training)
-        .serve_with_incoming_shutdown(
-            TcpIncoming::from(listener).with_nodelay(Some(true)),
-            shared.closing.clone().cancelled_owned(),
-        )
+        .serve_with_incoming_shutdown(incoming, shared.closing.clone().cancelled_owned())
         .await;
     reporting.abort();
     Ok(served?)

@@ -11,6 +11,7 @@ use cross_proto::v1::{self, stream_fragments_request as up, stream_fragments_res
 use cross_proto::weights::{Assembler, Snapshot};
 use cross_sim::layout::{Intersection, Lane, Movement, NetworkLayout, Phase, Road};
 use cross_sim::trajectory::{Fragment, FragmentEnd, FragmentId, Observation, RecurrentState};
+use cross_support::server::ServerSecurity;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::net::SocketAddr;
@@ -99,13 +100,18 @@ pub(crate) struct TestLearner {
 impl TestLearner {
     /// Starts a learner on free ports, resuming what is in `run`, and waits until it serves.
     pub(crate) async fn start(config: Config, run: &Path) -> Self {
-        let learner = Self::launch(config, run).await;
+        Self::start_with(config, run, ServerSecurity::default()).await
+    }
+
+    /// As [`start`](Self::start), with protected ports.
+    pub(crate) async fn start_with(config: Config, run: &Path, security: ServerSecurity) -> Self {
+        let learner = Self::launch(config, run, security).await;
         assert!(soon("ready", learner.learner.ready()).await);
         learner
     }
 
     /// As [`start`](Self::start), without waiting.
-    pub(crate) async fn launch(config: Config, run: &Path) -> Self {
+    pub(crate) async fn launch(config: Config, run: &Path, security: ServerSecurity) -> Self {
         let any = "127.0.0.1:0";
         let (grpc, metrics) = (TcpListener::bind(any).await.unwrap(), TcpListener::bind(any).await.unwrap());
         let addresses = (grpc.local_addr().unwrap(), metrics.local_addr().unwrap());
@@ -115,6 +121,7 @@ impl TestLearner {
             run_id: "test".to_owned(),
             resumed: find_checkpoint(run, &config).unwrap(),
             config: config.clone(),
+            security,
         };
         let learner = Learner::start(setup, grpc, metrics).unwrap();
         Self { learner, grpc: addresses.0, metrics: addresses.1, run: run.to_owned(), config }
