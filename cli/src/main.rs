@@ -11,6 +11,7 @@ mod output;
 mod output_file;
 mod paper;
 mod policy;
+mod report;
 mod sumo;
 mod train;
 
@@ -31,6 +32,7 @@ Examples:
   cross train --scenario grid4x4 --updates 100    train, compare, draw the curves
   cross eval --scenario grid4x4 --policy max-pressure --seeds 3
   cross eval --scenario arterial4x4 --policy runs/20260131-235959
+  cross report runs/20260131-235959               one HTML page: tables beside the paper's, plots
   cross checkpoint list
 
 Exit codes: 0 success, 2 wrong usage or bad input, 1 anything else.
@@ -41,6 +43,7 @@ enum Command {
     Train(commands::train::Train),
     Eval(commands::eval::Eval),
     Baselines(commands::baselines::Baselines),
+    Report(commands::report::Report),
     Scenario(commands::scenario::Scenario),
     Checkpoint(commands::checkpoint::Checkpoint),
     Doctor(commands::doctor::Doctor),
@@ -60,6 +63,7 @@ fn main() -> ExitCode {
         Command::Train(command) => command.run(),
         Command::Eval(command) => command.run(),
         Command::Baselines(command) => command.run(),
+        Command::Report(command) => command.run(),
         Command::Scenario(command) => command.run(),
         Command::Checkpoint(command) => command.run(),
         Command::Doctor(command) => command.run(),

@@ -4,5 +4,6 @@ pub(crate) mod baselines;
 pub(crate) mod checkpoint;
 pub(crate) mod doctor;
 pub(crate) mod eval;
+pub(crate) mod report;
 pub(crate) mod scenario;
 pub(crate) mod train;
