@@ -10,7 +10,11 @@
 )]
 
 pub mod binaries;
+pub mod certificates;
+pub mod http;
+pub mod packages;
 pub mod processes;
+pub mod prometheus;
 pub mod runs;
 pub mod scenarios;
 pub mod wait;

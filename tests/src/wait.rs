@@ -21,3 +21,18 @@ pub fn until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
         std::thread::sleep(LOOK_EVERY);
     }
 }
+
+/// Looks until it is true, for so many seconds at most; what the last look saw.
+///
+/// # Errors
+/// The first error of a look.
+pub fn for_seconds<E>(seconds: u64, mut look: impl FnMut() -> Result<bool, E>) -> Result<bool, E> {
+    let end = Instant::now() + Duration::from_secs(seconds);
+    loop {
+        let seen = look()?;
+        if seen || Instant::now() >= end {
+            return Ok(seen);
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+}

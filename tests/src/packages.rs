@@ -1,0 +1,30 @@
+//! Programs of the system that some tests need and the set-up does not bring.
+
+use std::path::PathBuf;
+
+/// Set by `.ci/run`: there, a test that cannot run is a failure.
+const REQUIRE: &str = "CROSS_TESTS_REQUIRE_PACKAGES";
+
+/// Finds a program on PATH; says what was skipped and how to get it if it is not there.
+///
+/// # Panics
+/// When it is missing and [`REQUIRE`] is set.
+#[must_use]
+pub fn program(name: &str, package: &str) -> Option<PathBuf> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let found = std::env::split_paths(&path).map(|folder| folder.join(name)).find(|file| file.is_file());
+    if found.is_none() {
+        skipped(&format!("{name} was not found; install it with: apt-get install {package}"));
+    }
+    found
+}
+
+/// Names a test that cannot run here, with the reason and the remedy.
+///
+/// # Panics
+/// When [`REQUIRE`] is set.
+pub fn skipped(reason: &str) {
+    let test = std::thread::current().name().unwrap_or("a test").to_owned();
+    assert!(std::env::var_os(REQUIRE).is_none(), "{test} cannot run: {reason}");
+    eprintln!("skipped {test}: {reason}");
+}
