@@ -4,7 +4,7 @@
 //!   paths ── input ──> runs, evaluations ── group ──> by scenario ── page ──> HTML
 //!                                                       scenario_section: results (tables), protocol (warnings),
 //!                                                         dot_plot, line_chart, histogram, heat_map
-//!                                                       run_section: line_chart
+//!                                                       run_section: run_panels, line_chart
 //! ```
 //! Drawings are SVG inside the page, coloured by its style sheet, so that they follow a dark theme and print; a plotting
 //! library fixes its colours. Everything that comes from a file is escaped by the template macro. The same inputs give the
@@ -22,6 +22,7 @@ mod page;
 mod protocol;
 mod results;
 mod run;
+mod run_panels;
 mod run_section;
 #[cfg(test)]
 mod samples;

@@ -63,6 +63,12 @@ pub(super) struct Line {
 pub(super) struct ScenarioLine {
     pub(super) episode_return: Option<f64>,
     pub(super) queue_length: Option<f64>,
+    #[serde(default)]
+    pub(super) diagnostics: BTreeMap<String, Option<f64>>,
+    #[serde(default)]
+    pub(super) expert_usage: Vec<Option<f64>>,
+    #[serde(default)]
+    pub(super) cluster_usage: Vec<Option<f64>>,
 }
 
 /// Policy versions that the data was behind.

@@ -1,45 +1,13 @@
 //! Everything about one run, and several runs side by side.
 
 use super::figure::{Key, legend};
-use super::line_chart::{Curve, LineChart, Over};
+use super::line_chart::{LineChart, Over};
 use super::number;
 use super::results::slug;
-use super::run::{Line, Run};
+use super::run::Run;
+use super::run_panels::{Panel, Value, curve, diagnostics, learning, losses, usage};
 use maud::{Markup, html};
 use std::collections::BTreeSet;
-
-const SIZE: (f64, f64) = (360.0, 200.0);
-/// Points that a curve is drawn with at most; of more, every so many are averaged.
-const MOST_POINTS: usize = 400;
-
-/// What a curve shows of an update.
-type Value<'v> = &'v dyn Fn(&Line) -> Option<f64>;
-
-/// A chart of a run.
-struct Panel {
-    key: String,
-    title: String,
-    note: &'static str,
-    zero: bool,
-    curves: Vec<Curve>,
-}
-
-impl Panel {
-    fn draw(&self, run: &str) -> Markup {
-        let id = format!("{}-{}", slug(&self.key), slug(run));
-        LineChart {
-            id: &id,
-            title: &self.title,
-            note: self.note,
-            over: Over::Updates,
-            curves: &self.curves,
-            zero: self.zero,
-            size: SIZE,
-            legend: self.curves.len() > 1,
-        }
-        .draw()
-    }
-}
 
 /// A run's place in the page.
 pub(super) fn anchor(run: &Run) -> String {
@@ -57,7 +25,7 @@ pub(super) fn section(run: &Run) -> Markup {
             } @else {
                 h3 { "Learning curves" }
                 p .lead { "Of the policy as it trains, which samples its actions; the closing evaluation takes the most probable one." }
-                div .three { @for panel in learning(run) { (panel.draw(&run.name)) } }
+                div .three { @for panel in learning(run).iter().chain(&usage(run)) { (panel.draw(&run.name)) } }
                 h3 { "Losses" }
                 div .three { @for panel in losses(run) { (panel.draw(&run.name)) } }
                 h3 { "Diagnostics" }
@@ -155,150 +123,9 @@ fn facts(run: &Run) -> Markup {
     }
 }
 
-fn learning(run: &Run) -> Vec<Panel> {
-    let scenarios = run.scenarios();
-    let alone = scenarios.len() == 1;
-    let title =
-        |what: &str, scenario: &str| if alone { what.to_owned() } else { format!("{what}, {scenario}") };
-    let panels = scenarios.iter().flat_map(|scenario| {
-        [
-            Panel {
-                key: format!("return-{scenario}"),
-                title: title("Return", scenario),
-                note: "of an episode, mean over the intersections",
-                zero: false,
-                curves: one(&run.lines, &|line| line.scenarios.get(scenario)?.episode_return),
-            },
-            Panel {
-                key: format!("queue-{scenario}"),
-                title: title("Queue", scenario),
-                note: "stopped vehicles per incoming lane",
-                zero: true,
-                curves: one(&run.lines, &|line| line.scenarios.get(scenario)?.queue_length),
-            },
-        ]
-    });
-    let usage = |key: &str, title: &str, note, list: &dyn Fn(&Line) -> &[Option<f64>]| Panel {
-        key: key.to_owned(),
-        title: title.to_owned(),
-        note,
-        zero: true,
-        curves: (0..run.lines.iter().map(|line| list(line).len()).max().unwrap_or(0))
-            .map(|place| {
-                let value = |line: &Line| list(line).get(place).copied().flatten();
-                curve(&(place + 1).to_string(), place, &run.lines, &value)
-            })
-            .collect(),
-    };
-    panels
-        .chain([
-            usage("experts", "Experts", "share of the gating weight", &|line| &line.expert_usage),
-            usage("clusters", "Clusters", "mean assignment", &|line| &line.cluster_usage),
-        ])
-        .filter(has_curves)
-        .collect()
-}
-
-fn losses(run: &Run) -> Vec<Panel> {
-    let names: BTreeSet<&String> = run.lines.iter().flat_map(|line| line.losses.keys()).collect();
-    let panel = |name: &String| Panel {
-        key: format!("loss-{name}"),
-        title: words(name),
-        note: if name.ends_with("_total") { "weighted sum" } else { "before its weight" },
-        zero: false,
-        curves: one(&run.lines, &|line| line.losses.get(name).copied().flatten()),
-    };
-    names.into_iter().map(panel).filter(has_curves).collect()
-}
-
-fn diagnostics(run: &Run) -> Vec<Panel> {
-    let names: BTreeSet<&String> = run.lines.iter().flat_map(|line| line.diagnostics.keys()).collect();
-    let panel = |name: &String| Panel {
-        key: format!("diagnostic-{name}"),
-        title: diagnostic(name),
-        note: "",
-        zero: false,
-        curves: one(&run.lines, &|line| line.diagnostics.get(name).copied().flatten()),
-    };
-    let together = |key: &str, title: &str, note, curves: [(&str, Value<'_>); 2]| Panel {
-        key: key.to_owned(),
-        title: title.to_owned(),
-        note,
-        zero: true,
-        curves: curves
-            .into_iter()
-            .enumerate()
-            .map(|(place, (label, value))| curve(label, place, &run.lines, value))
-            .collect(),
-    };
-    names
-        .into_iter()
-        .map(panel)
-        .chain([
-            together(
-                "lag",
-                "Policy lag",
-                "versions that the data was behind",
-                [("mean", &|line: &Line| line.lag.mean), ("most", &|line: &Line| line.lag.max)],
-            ),
-            together(
-                "timing",
-                "Time of an update",
-                "s",
-                [
-                    ("collecting", &|line: &Line| line.timing.collect_seconds),
-                    ("updating", &|line: &Line| line.timing.update_seconds),
-                ],
-            ),
-        ])
-        .filter(has_curves)
-        .collect()
-}
-
-fn has_curves(panel: &Panel) -> bool {
-    panel.curves.iter().any(|curve| !curve.points.is_empty())
-}
-
-/// `approx_kl` as people write it.
-fn diagnostic(name: &str) -> String {
-    match name {
-        "approx_kl" => "KL divergence (approximate)".to_owned(),
-        "actor_lr" | "critic_lr" => words(&name.replace("_lr", "_learning_rate")),
-        "actor_grad_norm" | "critic_grad_norm" => words(&name.replace("_grad_norm", "_gradient_norm")),
-        other => words(other),
-    }
-}
-
-/// `clip_fraction` as `Clip fraction`.
-fn words(name: &str) -> String {
-    let mut letters = name.replace('_', " ").chars().collect::<Vec<_>>();
-    if let Some(first) = letters.first_mut() {
-        *first = first.to_ascii_uppercase();
-    }
-    letters.into_iter().collect()
-}
-
-fn one(lines: &[Line], value: Value<'_>) -> Vec<Curve> {
-    vec![curve("", 0, lines, value)]
-}
-
-/// A value over the updates; updates without it are left out, and of very many, neighbours are averaged.
-fn curve(label: &str, place: usize, lines: &[Line], value: Value<'_>) -> Curve {
-    let points: Vec<(f64, f64)> = lines
-        .iter()
-        .filter_map(|line| Some((line.update as f64, value(line).filter(|value| value.is_finite())?)))
-        .collect();
-    let merged = points.len().div_ceil(MOST_POINTS).max(1);
-    let mean = |points: &[(f64, f64)]| {
-        let share = 1.0 / points.len() as f64;
-        points.iter().fold((0.0, 0.0), |mean, point| (mean.0 + point.0 * share, mean.1 + point.1 * share))
-    };
-    let points = if merged == 1 { points } else { points.chunks(merged).map(mean).collect() };
-    Curve { label: label.to_owned(), place, points, band: Vec::new() }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::run_panels::one;
     use super::*;
     use std::path::PathBuf;
 

@@ -111,49 +111,47 @@ fn details(group: &Group<'_>) -> Markup {
 }
 
 fn over_time(group: &Group<'_>, detailed: &[Detailed<'_>]) -> Markup {
-    let curves = |values: &dyn Fn(&Series) -> &[f64]| -> Vec<Curve> {
-        detailed
-            .iter()
-            .map(|Detailed { entry, details }| {
-                let seeds: Vec<_> = details
-                    .seeds
-                    .iter()
-                    .map(|seed| (seed.series.interval_seconds, values(&seed.series)))
-                    .collect();
-                curve(&entry.label, entry.place, &seeds)
-            })
-            .collect()
+    let curves = |values: &dyn Fn(&Series) -> Vec<f64>| -> Vec<Curve> {
+        let of_entry = |Detailed { entry, details }: &Detailed<'_>| {
+            let seeds: Vec<_> = details.seeds.iter().map(|seed| values(&seed.series)).collect();
+            let interval = details.seeds.first().map_or(0, |seed| seed.series.interval_seconds);
+            curve(&entry.label, entry.place, interval, &seeds)
+        };
+        detailed.iter().map(of_entry).collect()
     };
     let chart = |key: &str, title: &str, note: &str, curves: &[Curve]| {
         let id = format!("{key}-{}", slug(group.scenario));
-        LineChart {
-            id: &id,
-            title,
-            note,
-            over: Over::Time,
-            curves,
-            zero: true,
-            size: (550.0, 260.0),
-            legend: false,
-        }
-        .draw()
+        let (over, size) = (Over::Time, (550.0, 250.0));
+        LineChart { id: &id, title, note, over, curves, zero: true, size, legend: false }.draw()
     };
-    let waiting = curves(&|series| &series.waiting_to_enter);
+    let queue = curves(&|series| series.queue_length.clone());
+    let waiting = curves(&|series| series.waiting_to_enter.clone());
     let crowded = waiting.iter().flat_map(|curve| &curve.points).any(|&(_, vehicles)| vehicles > WAITING);
     let first = detailed.first().and_then(|detailed| detailed.details.seeds.first());
     let seconds =
         first.map(|seed| seed.series.interval_seconds as usize * merged(seed.series.queue_length.len()));
     html! {
         h3 { "Over time" }
-        p .lead { "Mean over the seeds" @if let Some(seconds) = seconds { ", a point every " (seconds) " s" } "; the band reaches from the lowest to the highest seed." }
+        p .lead {
+            "Mean over the seeds"
+            @if let Some(seconds) = seconds { ", a point every " (seconds) " s" }
+            "; the band reaches from the lowest to the highest seed."
+        }
         (legend(detailed.iter().map(|Detailed { entry, .. }| Key { label: &entry.label, place: entry.place })))
         div .two {
-            (chart("queue", "Queue length", "stopped vehicles per signalised incoming lane", &curves(&|series| &series.queue_length)))
-            (chart("speed", "Speed", "m/s, mean over the vehicles in the network", &curves(&|series| &series.speed)))
-            (chart("running", "Vehicles in the network", "", &curves(&|series| &series.running)))
+            (chart("queue", "Queue length", "stopped vehicles per signalised incoming lane", &queue))
+            (chart("speed", "Speed", "m/s, mean over the vehicles in the network", &curves(&|series| series.speed.clone())))
+            (chart("running", "Vehicles in the network", "", &curves(&|series| series.running.clone())))
+            (chart("arrivals", "Arrivals", "vehicles a minute", &curves(&arrivals)))
             @if crowded { (chart("waiting", "Vehicles waiting to enter", "due, and without room", &waiting)) }
         }
     }
+}
+
+/// Vehicles that arrive a minute, in each interval.
+fn arrivals(series: &Series) -> Vec<f64> {
+    let minutes = f64::from(series.interval_seconds.max(1)) / 60.0;
+    series.arrived.iter().map(|&vehicles| f64::from(vehicles) / minutes).collect()
 }
 
 /// How many entries of a series of this length make a point.
@@ -162,16 +160,15 @@ fn merged(length: usize) -> usize {
 }
 
 /// The mean of the seeds' curves, and a band from the lowest to the highest where there are several.
-fn curve(label: &str, place: usize, seeds: &[(u32, &[f64])]) -> Curve {
+fn curve(label: &str, place: usize, interval: u32, seeds: &[Vec<f64>]) -> Curve {
     let mut drawn = Curve { label: label.to_owned(), place, points: Vec::new(), band: Vec::new() };
-    let Some(&(interval, _)) = seeds.first() else { return drawn };
     // All seeds of an evaluation are equally long; were they not, the mean of what is common is the honest one.
-    let length = seeds.iter().map(|(_, values)| values.len()).min().unwrap_or(0);
+    let length = seeds.iter().map(Vec::len).min().unwrap_or(0);
     let merged = merged(length);
     for start in (0..length).step_by(merged) {
         let end = (start + merged).min(length);
         let of_seed = |values: &[f64]| values[start..end].iter().sum::<f64>() / (end - start) as f64;
-        let values: Vec<f64> = seeds.iter().map(|(_, values)| of_seed(values)).collect();
+        let values: Vec<f64> = seeds.iter().map(|values| of_seed(values)).collect();
         let x = f64::from(interval) * (start + end) as f64 / 2.0;
         drawn.points.push((x, values.iter().sum::<f64>() / values.len() as f64));
         if values.len() > 1 {
@@ -244,6 +241,7 @@ mod tests {
             "queue-grid4x4",
             "speed-grid4x4",
             "running-grid4x4",
+            "arrivals-grid4x4",
             "trips-grid4x4",
             "map-grid4x4-1",
             "map-grid4x4-2",
@@ -270,11 +268,11 @@ mod tests {
     #[test]
     fn curves_are_means_with_a_band_of_all_seeds() {
         let long: Vec<f64> = (0..360).map(f64::from).collect();
-        let curve = curve("a", 0, &[(10, &long), (10, &vec![0.0; 360])]);
+        let curve = curve("a", 0, 10, &[long, vec![0.0; 360]]);
         assert_eq!(curve.points.len(), 60);
         assert_eq!(curve.points[0], (30.0, 1.25));
         assert_eq!(curve.band[0], (30.0, 0.0, 2.5));
-        assert!(super::curve("a", 0, &[]).points.is_empty());
-        assert!(super::curve("a", 0, &[(10, &[1.0])]).band.is_empty(), "one seed has no band");
+        assert!(super::curve("a", 0, 10, &[]).points.is_empty());
+        assert!(super::curve("a", 0, 10, &[vec![1.0]]).band.is_empty(), "one seed has no band");
     }
 }
