@@ -7,7 +7,7 @@ use cross_proto::client::LearnerClient;
 use cross_proto::status::Reason;
 use cross_proto::v1;
 use cross_support::client::{ClientSecurity, Connection};
-use cross_support::problem;
+use cross_support::{SecurityError, problem};
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
@@ -73,7 +73,12 @@ pub(crate) fn endpoint(
     security: &ClientSecurity,
     insecure: bool,
 ) -> Result<Endpoint, ActorError> {
-    let endpoint = security.endpoint(learner, insecure)?;
+    let endpoint = security.endpoint(learner, insecure).map_err(|error| match error {
+        SecurityError::Address { address, problem } => {
+            ActorError::Option { option: "--learner", problem: format!("is {address:?}, which {problem}") }
+        }
+        error => error.into(),
+    })?;
     Ok(endpoint
         .connect_timeout(CONNECT_TIMEOUT)
         .http2_keep_alive_interval(KEEPALIVE_INTERVAL)
@@ -286,7 +291,7 @@ mod tests {
     fn a_bad_address_is_bad_input() {
         let error = endpoint("learner", &ClientSecurity::default(), false).unwrap_err();
         assert_eq!(error.exit_code(), 2);
-        assert!(error.to_string().contains("learner"), "{error}");
+        assert!(error.to_string().contains("--learner"), "{error}");
     }
 
     #[test]

@@ -40,7 +40,7 @@ pub struct Options {
     pub config: Option<PathBuf>,
 
     /// Address for /metrics, /ready and /live; port 0 takes a free one, which the log names
-    #[arg(long, value_name = "ADDR", default_value_t = LOOPBACK)]
+    #[arg(long, value_name = "ADDR", default_value_t = LOOPBACK, env = "CROSS_ACTOR_METRICS_LISTEN")]
     pub metrics_listen: SocketAddr,
 
     /// Write the address of /metrics to this file once it is known
@@ -61,7 +61,7 @@ pub struct Options {
     pub grace_seconds: u64,
 
     /// Format of the log on stderr
-    #[arg(long, value_enum, default_value_t = LogFormat::Text)]
+    #[arg(long, value_enum, default_value_t = LogFormat::Text, env = "CROSS_LOG_FORMAT")]
     pub log_format: LogFormat,
 
     /// What is logged: error, warn, info, debug, trace, or a filter like cross_actor=debug

@@ -123,13 +123,13 @@ async fn a_bad_fragment_ends_its_own_stream_alone_and_names_the_field() {
     let error = bad.hear().await.unwrap_err();
     assert_eq!(status::reason(&error), Some(Reason::UnexpectedMessage));
 
-    // So is one that is too large.
+    // So is one that is too large (`limits.rs` has the rest).
     bad.reconnect().await;
     let huge =
         v1::Fragment { counts: vec![0; learner.config.learner.max_message_bytes].into(), ..fine[0].clone() };
     bad.say(up::Message::Fragment(huge)).await;
     let error = bad.hear().await.unwrap_err();
-    assert_eq!(error.code(), Code::InvalidArgument, "{error}");
+    assert_eq!(status::reason(&error), Some(Reason::MessageTooLarge), "{error}");
 
     for fragment in fine {
         assert_eq!(good.send(fragment.clone()).await.outcome(), Outcome::Accepted);

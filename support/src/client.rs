@@ -68,7 +68,7 @@ impl ClientSecurity {
         let whole =
             if address.contains("://") { address.to_owned() } else { format!("{scheme}://{address}") };
         let endpoint = Endpoint::from_shared(whole)
-            .map_err(|_| problem("is none; write it as https://HOST:PORT or http://HOST:PORT"))?;
+            .map_err(|_| problem("is no address; write it as https://HOST:PORT or http://HOST:PORT"))?;
         let uri = endpoint.uri().clone();
         let host = uri.host().unwrap_or_default();
         if host.is_empty() || uri.port_u16().is_none() {

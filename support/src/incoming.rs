@@ -12,7 +12,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::task::JoinHandle;
@@ -22,6 +22,9 @@ use tokio_rustls::server::TlsStream;
 
 /// Time for a TLS handshake.
 const HANDSHAKE: Duration = Duration::from_secs(10);
+/// How long a refused client may take to read why, and how much it may send meanwhile.
+const LINGER: Duration = Duration::from_secs(2);
+const LINGER_BYTES: u64 = 64 * 1024;
 /// Connections that are ready and not yet taken.
 const READY: usize = 64;
 /// Pause after an accept that failed for want of file descriptors or memory.
@@ -84,23 +87,39 @@ async fn accept(
         tokio::spawn(async move {
             let io = match acceptor {
                 None => Io::Plain(stream),
-                Some(acceptor) => match tokio::time::timeout(HANDSHAKE, acceptor.accept(stream)).await {
-                    Ok(Ok(stream)) => Io::Tls(Box::new(stream)),
-                    Ok(Err(error)) => {
-                        let problem = crate::problem::of_client(&error);
-                        return complaints.say(&format!("no TLS with {address}: {problem}"));
+                Some(acceptor) => {
+                    let shaken = acceptor.accept(stream).into_fallible();
+                    match tokio::time::timeout(HANDSHAKE, shaken).await {
+                        Ok(Ok(stream)) => Io::Tls(Box::new(stream)),
+                        Ok(Err((error, stream))) => {
+                            let problem = crate::problem::of_client(&error);
+                            complaints.say(&format!("no TLS with {address}: {problem}"));
+                            return linger(stream).await;
+                        }
+                        Err(_) => {
+                            let seconds = HANDSHAKE.as_secs();
+                            return complaints.say(&format!("no TLS with {address} within {seconds} s"));
+                        }
                     }
-                    Err(_) => {
-                        let seconds = HANDSHAKE.as_secs();
-                        return complaints.say(&format!("no TLS with {address} within {seconds} s"));
-                    }
-                },
+                }
             };
             let peer = Peer { address, certificate: io.has_certificate() };
             // Fails only when the server has ended.
             let _ = ready.send(Connection { io, peer, _place: place }).await;
         });
     }
+}
+
+/// Takes what a refused client still sends, for a moment. Closing at once would have the kernel reset the connection, and
+/// the client would lose the alert that tells it what is wrong.
+async fn linger(mut stream: TcpStream) {
+    let drained = async {
+        stream.shutdown().await?;
+        let mut rest = stream.take(LINGER_BYTES);
+        tokio::io::copy(&mut rest, &mut tokio::io::sink()).await
+    };
+    // Whatever comes of it, the connection is over.
+    let _ = tokio::time::timeout(LINGER, drained).await;
 }
 
 /// Log lines, at most one in [`LOG_EVERY`].

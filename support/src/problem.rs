@@ -1,7 +1,7 @@
 //! What a failed handshake means, in a sentence for the person who has to mend it.
 
 use std::error::Error;
-use tokio_rustls::rustls::{self, AlertDescription, CertificateError};
+use tokio_rustls::rustls::{self, CertificateError};
 
 /// Why the certificate check with the server at `address` failed; `None` if that is not what `error` is about.
 ///
@@ -9,32 +9,50 @@ use tokio_rustls::rustls::{self, AlertDescription, CertificateError};
 #[must_use]
 pub fn of_server(error: &(dyn Error + 'static), address: &str) -> Option<String> {
     use rustls::Error as Tls;
-    let found = find(error)?;
-    Some(match found {
-        Tls::InvalidCertificate(problem) => server_certificate(problem, address),
-        Tls::AlertReceived(AlertDescription::CertificateRequired) => {
+    match find(error) {
+        Some(Tls::InvalidCertificate(problem)) => Some(server_certificate(problem, address)),
+        Some(Tls::AlertReceived(alert)) => of_alert(&format!("{alert:?}"), address),
+        Some(Tls::InvalidMessage(_)) => Some(format!(
+            "{address} does not speak TLS; use http://, or start the server with --tls-cert and --tls-key"
+        )),
+        Some(_) => None,
+        // HTTP/2 keeps only the words of what broke its connection.
+        None => of_alert(&alert_in_words(error)?, address),
+    }
+}
+
+/// What an alert of the server says about this client's certificate.
+fn of_alert(name: &str, address: &str) -> Option<String> {
+    Some(match name {
+        "CertificateRequired" => {
             format!("{address} takes only clients with a certificate; give --tls-cert and --tls-key")
         }
-        Tls::AlertReceived(AlertDescription::CertificateExpired) => {
+        "CertificateExpired" => {
             format!(
                 "{address} finds the certificate of --tls-cert expired; renew it, or set the clocks right"
             )
         }
-        Tls::AlertReceived(
-            AlertDescription::UnknownCA
-            | AlertDescription::BadCertificate
-            | AlertDescription::CertificateUnknown
-            | AlertDescription::UnsupportedCertificate
-            | AlertDescription::DecryptError
-            | AlertDescription::AccessDenied,
-        ) => format!(
+        "UnknownCA"
+        | "BadCertificate"
+        | "CertificateUnknown"
+        | "UnsupportedCertificate"
+        | "CertificateRevoked"
+        | "DecryptError"
+        | "AccessDenied" => format!(
             "{address} does not accept the certificate of --tls-cert; use one that an authority in the server's \
              --tls-client-ca signed for clients"
         ),
-        Tls::InvalidMessage(_) => format!(
-            "{address} does not speak TLS; use http://, or start the server with --tls-cert and --tls-key"
-        ),
         _ => return None,
+    })
+}
+
+/// The name of an alert that some error of the chain quotes.
+fn alert_in_words(error: &(dyn Error + 'static)) -> Option<String> {
+    let mut chain = std::iter::successors(Some(error), |error: &&(dyn Error + 'static)| (*error).source());
+    chain.find_map(|error| {
+        let text = error.to_string();
+        let (_, name) = text.split_once("received fatal alert: ")?;
+        Some(name.chars().take_while(char::is_ascii_alphanumeric).collect())
     })
 }
 
@@ -107,6 +125,7 @@ fn find<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a rustls::Error> {
 mod tests {
     use super::*;
     use std::io;
+    use tokio_rustls::rustls::AlertDescription;
 
     #[derive(Debug, thiserror::Error)]
     #[error("transport error")]
@@ -129,6 +148,15 @@ mod tests {
             let sentence = of_server(&wrapped(error), "learner:7400").unwrap();
             assert!(sentence.contains("learner:7400") && sentence.contains(words), "{sentence}");
         }
+    }
+
+    #[test]
+    fn an_alert_is_known_by_its_words() {
+        let alert = rustls::Error::AlertReceived(AlertDescription::CertificateRequired).to_string();
+        let sentence = of_server(&Wrapped(io::Error::other(alert)), "learner:7400").unwrap();
+        assert!(sentence.contains("takes only clients with a certificate"), "{sentence}");
+        let alert = rustls::Error::AlertReceived(AlertDescription::InternalError).to_string();
+        assert_eq!(of_server(&Wrapped(io::Error::other(alert)), "learner:7400"), None);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests fail by panicking, in their helpers too")]
 
 #[path = "../../tests/src/certificates.rs"]
-#[allow(dead_code, reason = "the cluster tests use the rest")]
+#[allow(dead_code, unreachable_pub, reason = "the cluster tests use the rest, from outside")]
 mod certificates;
 
 use certificates::{Authority, Pair, secret};

@@ -46,6 +46,7 @@ impl ScenarioBuffer {
     }
 
     /// Whether something waits: then later arrivals must queue behind it.
+    #[cfg(test)]
     pub(super) fn has_waiting(&self) -> bool {
         !self.waiting.is_empty()
     }

@@ -230,8 +230,8 @@ impl Admission {
     }
 
     /// Whether some buffer holds fragments back at the moment.
-    #[must_use]
-    pub fn is_holding_back(&self) -> bool {
+    #[cfg(test)]
+    pub(super) fn is_holding_back(&self) -> bool {
         self.buffers.iter().any(super::buffer::ScenarioBuffer::has_waiting)
     }
 }

@@ -131,12 +131,6 @@ impl Admission {
         self.progress.updates >= self.settings.updates && !self.is_updating()
     }
 
-    /// Streams that are open.
-    #[must_use]
-    pub fn streams(&self) -> Vec<StreamId> {
-        self.actors.values().filter_map(|actor| actor.stream).collect()
-    }
-
     /// Steps of a scenario that the next update may take.
     #[must_use]
     pub fn buffered_steps(&self, scenario: usize) -> u64 {

@@ -9,7 +9,6 @@ use cross_proto::{Violation, v1};
 use futures::stream::{BoxStream, StreamExt, iter};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
-use std::time::UNIX_EPOCH;
 use tonic::{Request, Response, Status};
 
 const DEFAULT_PAGE: usize = 50;
@@ -50,7 +49,7 @@ fn failed(id: &str) -> impl Fn(CheckpointError) -> Status {
 fn message(metadata: &Metadata) -> v1::Checkpoint {
     v1::Checkpoint {
         id: metadata.id.clone(),
-        created: Some((UNIX_EPOCH + std::time::Duration::from_millis(metadata.created_unix_ms)).into()),
+        created: Some(metadata.created_at().into()),
         format_version: metadata.format_version,
         run_id: metadata.run_id.clone(),
         updates: metadata.updates,
