@@ -279,16 +279,6 @@ impl Client {
         batch.send().map(drop)
     }
 
-    /// Ends all context subscriptions around one object.
-    ///
-    /// # Errors
-    /// As [`set`](Self::set).
-    pub fn unsubscribe_context(&mut self, domain: Domain, object: &str) -> Result<(), TraciError> {
-        let mut batch = self.batch();
-        batch.subscribe_context(domain, object, 0.0, domain, &[]);
-        batch.send().map(drop)
-    }
-
     /// Sets this client's place among several of one SUMO, lowest first. Needed only with `--num-clients` above one.
     ///
     /// # Errors

@@ -9,9 +9,6 @@ pub const OLDEST_API_VERSION: i32 = 22;
 /// What SUMO puts where a number is not defined, such as the lane position of a vehicle that is off the road.
 pub const INVALID_DOUBLE: f64 = -1_073_741_824.0;
 
-/// What SUMO puts where an integer is not defined.
-pub const INVALID_INT: i32 = -1_073_741_824;
-
 /// Commands that belong to no [`Domain`].
 pub mod command {
     /// Asks for API version and SUMO version.
