@@ -8,15 +8,17 @@ use super::watch::Watch;
 use crate::evaluate::{Task, default_workers, evaluate_all, seeds};
 use crate::failure::{Failure, Outcome};
 use crate::policy::{PolicySpec, Weights};
+use anyhow::Context;
 use cross_config::Config;
 use cross_sim::controller::RuleBased;
 use cross_sim::evaluate::{EvalReport, EvaluateError, strongest, table};
 use cross_sim::metrics::Metric;
+use cross_support::files::{remove_any, replace_file};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// What the trained policy is called in tables.
@@ -101,7 +103,12 @@ impl Summary {
             .scenarios
             .iter()
             .flat_map(|scenario| {
-                policies.iter().map(move |policy| Task { scenario, env: &config.env, policy })
+                policies.iter().map(move |policy| Task {
+                    scenario,
+                    env: &config.env,
+                    policy,
+                    details: true,
+                })
             })
             .collect();
         let progress = EpisodeProgress::new(visible, tasks.len() * count as usize);
@@ -111,7 +118,10 @@ impl Summary {
         });
         progress.finish();
         match result {
-            Ok(reports) => {
+            Ok(mut reports) => {
+                store(&self.run.join(run_dir::EVALUATION), &reports)?;
+                // They are for pictures and would make the result many times as long.
+                reports.iter_mut().for_each(|report| report.details = None);
                 self.strongest_max_pressure = strongest_variants(&reports);
                 self.evaluation = reports;
                 Ok(())
@@ -189,6 +199,19 @@ impl Summary {
         };
         self.strongest_max_pressure.iter().filter_map(verdict).collect()
     }
+}
+
+/// Writes each report with its details to a file of its own, where `cross report` finds it.
+fn store(folder: &Path, reports: &[EvalReport]) -> Outcome<()> {
+    let failed = || format!("cannot write the evaluation into {}", folder.display());
+    // Those of an earlier end of the same run were of other weights.
+    remove_any(folder).with_context(failed)?;
+    std::fs::create_dir_all(folder).with_context(failed)?;
+    for report in reports {
+        let name = format!("{}-{}.json", report.scenario, report.policy).replace('/', "-");
+        replace_file(&folder.join(name), report.to_json().as_bytes()).with_context(failed)?;
+    }
+    Ok(())
 }
 
 fn strongest_variants(reports: &[EvalReport]) -> BTreeMap<String, String> {

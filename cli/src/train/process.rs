@@ -3,6 +3,7 @@
 use super::supervise::Exit;
 use crate::failure::{Failure, Outcome};
 use anyhow::Context;
+use cross_support::options::TLS_VARIABLES;
 use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom};
@@ -50,6 +51,10 @@ impl Process {
         let errors = file.try_clone().with_context(|| format!("cannot open the log {}", log.display()))?;
         let mut command = Command::new(program);
         command.args(arguments).stdin(Stdio::null()).stdout(file).stderr(errors).process_group(0);
+        // They are for a cluster; between processes of one machine nothing is encrypted.
+        for variable in TLS_VARIABLES {
+            command.env_remove(variable);
+        }
         die_with_parent(&mut command);
         let child = command.spawn().with_context(|| format!("cannot start {}", program.display()))?;
         Ok(Self { child, log: log.to_owned(), log_start })

@@ -34,6 +34,8 @@ pub(crate) struct Plan {
     pub(crate) drain_seconds: u64,
     pub(crate) resume: bool,
     pub(crate) sumo_home: PathBuf,
+    /// File of the token that all calls carry. One from a variable reaches the processes by itself.
+    pub(crate) token_file: Option<PathBuf>,
 }
 
 /// How training ended, when it did not fail.
@@ -198,7 +200,7 @@ impl Cluster<'_> {
             "--listen".into(),
             listen.into(),
         ];
-        arguments.extend(SETTLED.map(OsString::from));
+        arguments.extend(self.settled());
         // A learner that died before its first checkpoint has nothing to go on from.
         if (self.plan.resume || again) && self.run.has_checkpoints() {
             arguments.push("--resume".into());
@@ -217,12 +219,18 @@ impl Cluster<'_> {
             "--sumo-home".into(),
             self.plan.sumo_home.clone().into(),
         ];
-        arguments.extend(SETTLED.map(OsString::from));
+        arguments.extend(self.settled());
         let process = Process::start(&self.actor_program, &arguments, &self.run.log(&name))?;
         if let Some(slot) = self.actors.get_mut(actor) {
             *slot = Some(process);
         }
         Ok(())
+    }
+
+    /// What learner and actors are told alike.
+    fn settled(&self) -> impl Iterator<Item = OsString> {
+        let token = self.plan.token_file.iter().flat_map(|file| ["--token-file".into(), file.into()]);
+        SETTLED.into_iter().map(OsString::from).chain(token)
     }
 
     /// Updates that the newest checkpoint holds.

@@ -9,11 +9,13 @@
 //!   DIR/logs/            one log per process
 //!   DIR/curves.svg       learning curves        } written at the end
 //!   DIR/result.json      the closing evaluation }
+//!   DIR/evaluation/      the same with details  }
 //! ```
 
 use crate::failure::{Failure, Outcome};
 use anyhow::Context;
 use cross_learner::checkpoint::{FOLDER, LATEST_FILE, Metadata, reader, rfc3339};
+use cross_support::files::replace_file;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 use std::fs::File;
@@ -23,6 +25,8 @@ use std::time::SystemTime;
 
 /// Where runs go unless told otherwise.
 pub(crate) const RUNS: &str = "runs";
+/// Folder of the closing evaluation's reports.
+pub(crate) const EVALUATION: &str = "evaluation";
 
 /// A run directory that this process alone uses until it is dropped.
 #[derive(Debug)]
@@ -127,10 +131,7 @@ impl RunDir {
 
 /// Writes a whole file or leaves the old one.
 pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Outcome<()> {
-    let temporary = path.with_extension("part");
-    std::fs::write(&temporary, bytes)
-        .and_then(|()| std::fs::rename(&temporary, path))
-        .with_context(|| format!("cannot write {}", path.display()))?;
+    replace_file(path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(())
 }
 

@@ -2,12 +2,12 @@
 
 use cross_proto::client::TrainingClient;
 use cross_proto::v1::{GetStatusRequest, TrainingStatus, WatchProgressRequest};
+use cross_support::client::ClientSecurity;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
 use tokio_stream::StreamExt;
-use tonic::transport::Endpoint;
 
 /// Between two looks at the status: the stream speaks only after an update, and a person wants to see more than that.
 const POLL: Duration = Duration::from_secs(2);
@@ -65,8 +65,9 @@ pub(crate) struct Watch {
 }
 
 impl Watch {
-    /// Takes over SIGINT, SIGTERM and, unless it was started to ignore it, SIGHUP from here on.
-    pub(crate) fn start() -> std::io::Result<Self> {
+    /// Takes over SIGINT, SIGTERM and, unless it was started to ignore it, SIGHUP from here on. Calls to the learner are
+    /// made with `security`.
+    pub(crate) fn start(security: ClientSecurity) -> std::io::Result<Self> {
         let inbox = Arc::new(Inbox::default());
         let (address, learner) = watch::channel(None);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -89,7 +90,7 @@ impl Watch {
                     () = listen(Some(interrupt), &theirs) => {}
                     () = listen(Some(terminate), &theirs) => {}
                     () = listen(hang_up, &theirs) => {}
-                    () = follow(learner, &theirs) => {}
+                    () = follow(learner, &security, &theirs) => {}
                 }
             });
         })?;
@@ -129,12 +130,12 @@ fn ignores_hang_up(status: &str) -> bool {
 }
 
 /// Follows the learner through its restarts, until this process ends.
-async fn follow(mut learner: watch::Receiver<Option<String>>, inbox: &Inbox) {
+async fn follow(mut learner: watch::Receiver<Option<String>>, security: &ClientSecurity, inbox: &Inbox) {
     loop {
         let address = learner.borrow_and_update().clone();
         if let Some(address) = address {
             // A learner that is gone or restarting is the supervisor's business; here it only means to try again.
-            let _ = follow_once(&address, inbox).await;
+            let _ = follow_once(&address, security, inbox).await;
             tokio::time::sleep(RETRY).await;
         } else if learner.changed().await.is_err() {
             // The run is over; signals still count.
@@ -143,10 +144,10 @@ async fn follow(mut learner: watch::Receiver<Option<String>>, inbox: &Inbox) {
     }
 }
 
-async fn follow_once(address: &str, inbox: &Inbox) -> anyhow::Result<()> {
-    let channel =
-        Endpoint::from_shared(format!("http://{address}"))?.connect_timeout(DEADLINE).connect().await?;
-    let mut client = TrainingClient::new(channel);
+async fn follow_once(address: &str, security: &ClientSecurity, inbox: &Inbox) -> anyhow::Result<()> {
+    // The learner that this program started, on loopback.
+    let channel = security.endpoint(address, false)?.connect_timeout(DEADLINE).connect().await?;
+    let mut client = TrainingClient::new(security.connection(channel));
     let mut updates = client.watch_progress(WatchProgressRequest {}).await?.into_inner();
     let mut poll = tokio::time::interval(POLL);
     loop {
