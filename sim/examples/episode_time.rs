@@ -1,18 +1,21 @@
 //! Wall time of one episode through the environment, beside where it went; for comparing with plain SUMO.
 //!
-//! `cargo run --release -p cross-sim --example episode_time [SCENARIO [SEED]]`
+//! Run with `cargo run --release -p cross-sim --example episode_time [SCENARIO [SEED]]`.
+
+#![expect(clippy::print_stdout, reason = "an example prints its result")]
 
 use cross_sim::env::{Env, EnvOptions, SecondView};
 use cross_sim::scenario::Scenario;
 use cross_traci::SumoHome;
 use std::error::Error;
+use std::fmt::Write;
 use std::time::Instant;
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let mut arguments = std::env::args().skip(1);
-    let scenario = Scenario::load(&arguments.next().unwrap_or_else(|| "grid4x4".to_owned()))?;
-    let seed = arguments.next().unwrap_or_else(|| "1".to_owned()).parse()?;
+/// A line for an episode stepped by decisions, and one for an episode watched each second.
+pub(crate) fn times(scenario: &str, seed: u32) -> Result<String, Box<dyn Error>> {
+    let scenario = Scenario::load(scenario)?;
     let mut env = Env::new(&SumoHome::locate(None)?, &scenario, EnvOptions::default())?;
+    let mut lines = String::new();
     for (how, observed) in [("by decision", false), ("by second", true)] {
         let (begun, before) = (Instant::now(), env.timings());
         env.reset(seed)?;
@@ -31,15 +34,21 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
         }
         let after = env.timings();
-        #[expect(clippy::print_stdout, reason = "the example's output")]
-        {
-            println!(
-                "{how}: {:.2?} (start {started:.2?}, sumo {:.2?}, traci {:.2?})",
-                begun.elapsed(),
-                after.sumo - before.sumo,
-                after.traci - before.traci
-            );
-        }
+        writeln!(
+            lines,
+            "{how}: {:.2?} (start {started:.2?}, sumo {:.2?}, traci {:.2?})",
+            begun.elapsed(),
+            after.sumo - before.sumo,
+            after.traci - before.traci
+        )?;
     }
+    Ok(lines)
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let scenario = arguments.next().unwrap_or_else(|| "grid4x4".to_owned());
+    let seed = arguments.next().unwrap_or_else(|| "1".to_owned()).parse()?;
+    print!("{}", times(&scenario, seed)?);
     Ok(())
 }

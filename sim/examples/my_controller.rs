@@ -1,6 +1,6 @@
 //! A controller of one's own beside the built-in ones.
 //!
-//! Run with `cargo run --release -p cross-sim --example my_controller [scenario]`.
+//! Run with `cargo run --release -p cross-sim --example my_controller [SCENARIO [SECONDS]]`.
 //!
 //! "Longest first": green to the phase that serves the lane with the longest queue, and no change of phase, with its
 //! three seconds of yellow, while nobody else waits longer.
@@ -43,11 +43,11 @@ impl Controller for LongestFirst {
     }
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let name = std::env::args().nth(1).unwrap_or_else(|| "grid4x4".to_owned());
+/// A table of the controller beside two rules, over two seeds.
+pub(crate) fn compare(scenario: &str, seconds: u32) -> Result<String, Box<dyn std::error::Error>> {
     let home = SumoHome::locate(None)?;
-    let scenario = Scenario::load(&name)?;
-    let env = EnvConfig::default();
+    let scenario = Scenario::load(scenario)?;
+    let env = EnvConfig { episode_seconds: seconds, ..EnvConfig::default() };
     let setting = Setting::new(&home, &scenario, &env);
     let reference = scenario.reference.max_pressure;
     let (seeds, workers) = ([1, 2], 2);
@@ -60,6 +60,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let make = || Ok(policy.controller(reference));
         reports.push(evaluate_seeds(&setting, policy.name(), &make, &seeds, workers, &go_on)?);
     }
-    print!("{}", table(&reports));
+    Ok(table(&reports))
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let scenario = arguments.next().unwrap_or_else(|| "grid4x4".to_owned());
+    let seconds = arguments.next().unwrap_or_else(|| "3600".to_owned()).parse()?;
+    print!("{}", compare(&scenario, seconds)?);
     Ok(())
 }

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use cross_config::EnvConfig;
-use cross_sim::env::{Env, EnvOptions, SecondView};
+use cross_sim::env::{Env, EnvOptions, SecondView, Signals, SumoProgram};
 use cross_sim::scenario::Scenario;
 use cross_traci::SumoHome;
 use std::fmt::Write;
@@ -63,8 +63,13 @@ fn scenario(folder: &Path, options: &[&str], change: impl FnOnce(String) -> Stri
 }
 
 fn env(scenario: &Scenario) -> Env {
+    env_with(scenario, Signals::Driven)
+}
+
+fn env_with(scenario: &Scenario, signals: Signals) -> Env {
     let config = EnvConfig { episode_seconds: 300, ..EnvConfig::default() };
-    Env::new(&SumoHome::locate(None).unwrap(), scenario, EnvOptions::new(config)).unwrap()
+    let options = EnvOptions { signals, ..EnvOptions::new(config) };
+    Env::new(&SumoHome::locate(None).unwrap(), scenario, options).unwrap()
 }
 
 /// Cycles through all phases and returns how many vehicles arrived.
@@ -122,4 +127,27 @@ fn actuated_programs_and_ones_without_yellow_are_controlled_alike() {
     let mut env = env(&scenario(folder.path(), &["--tls.default-type", "actuated"], only_greens));
     assert!(env.layout().intersections.iter().all(|at| at.phases.len() >= 2));
     assert!(cycle(&mut env) > 20);
+}
+
+#[test]
+fn sumos_own_programs_run_on_all_of_them() {
+    let whole = |net: String| net;
+    let without_yellow = |net: String| -> String {
+        net.lines()
+            .filter(|line| !(line.contains("<phase") && line.contains('y')))
+            .collect::<Vec<_>>()
+            .join("\n")
+    };
+    let joined =
+        ["--tls.join", "--tls.join-dist", "100", "--walkingareas", "false", "--tls.allred.time", "2"];
+    let nets: [(&[&str], fn(String) -> String); 4] =
+        [(&[], whole), (&joined, whole), (&[], without_yellow), (&["--tls.default-type", "actuated"], whole)];
+    for (options, change) in nets {
+        let folder = tempfile::tempdir().unwrap();
+        let scenario = scenario(folder.path(), options, change);
+        for program in [SumoProgram::Own, SumoProgram::Actuated, SumoProgram::DelayBased] {
+            let arrived = cycle(&mut env_with(&scenario, Signals::Program(program)));
+            assert!(arrived > 20, "{options:?} {program:?}: {arrived} arrived");
+        }
+    }
 }

@@ -160,10 +160,7 @@ impl Env {
             }
             Signals::Program(program) => {
                 drop(commands);
-                if let Some(wanted) = program.id() {
-                    programs::check(wanted, &self.layout, &simulation.programs(lights(&self.layout))?)?;
-                }
-                follow(&mut simulation, &self.layout, &mut self.signals)?;
+                programs::follow(program, &mut simulation, &self.layout, &mut self.signals)?;
             }
         }
         Ok(simulation)
@@ -289,8 +286,10 @@ impl Env {
             }
         }
         self.time = simulation.time();
-        if let Signals::Program(_) = self.options.signals {
-            timed(&mut timings.traci, || follow(simulation, &self.layout, &mut self.signals))?;
+        if let Signals::Program(program) = self.options.signals {
+            timed(&mut timings.traci, || {
+                programs::follow(program, simulation, &self.layout, &mut self.signals)
+            })?;
         }
         if observer.is_none() {
             timed(&mut timings.traci, || simulation.count(lanes))?;
@@ -328,24 +327,6 @@ impl Env {
     pub fn close(mut self) -> Result<(), SimError> {
         self.finish()
     }
-}
-
-/// Ids of the agents' lights.
-fn lights(layout: &NetworkLayout) -> impl Iterator<Item = &str> {
-    layout.intersections.iter().map(|intersection| intersection.id.as_str())
-}
-
-/// Takes the phases over that SUMO's own programs show.
-fn follow(
-    simulation: &mut Simulation,
-    layout: &NetworkLayout,
-    signals: &mut SignalTiming,
-) -> Result<(), TraciError> {
-    let states = simulation.states(lights(layout))?;
-    for agent in 0..states.len() {
-        signals.follow(agent, states.str(agent)?);
-    }
-    Ok(())
 }
 
 fn shown<'a>(layout: &'a NetworkLayout, command: Command<'a>) -> Option<simulation::Shown<'a>> {

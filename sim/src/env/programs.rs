@@ -3,14 +3,15 @@
 //! ```text
 //!   net's own program ── phases in order ──> <tlLogic type="actuated" | "delay_based"> for every agent ──> SUMO
 //! ```
-//! SUMO runs the program of a light that it loaded last. [`check`] asks it whether that is ours.
+//! SUMO runs the program of a light that it loaded last. [`follow`] asks it at every decision whether that is ours.
 
+use super::simulation::Simulation;
 use super::{Signals, SumoProgram};
 use crate::error::SimError;
 use crate::generate::xml::{XmlFile, number};
 use crate::layout::NetworkLayout;
 use crate::net::{Net, PhaseTimes, TrafficLight};
-use cross_traci::Replies;
+use crate::signal::SignalTiming;
 use std::io::{self, Write};
 use std::path::PathBuf;
 use tempfile::TempDir;
@@ -84,7 +85,7 @@ impl SumoProgram {
     }
 
     /// What the program is called in SUMO, beside the net's; none for the net's own.
-    pub(super) fn id(self) -> Option<&'static str> {
+    fn id(self) -> Option<&'static str> {
         match self {
             Self::Own => None,
             Self::Actuated => Some("cross-actuated"),
@@ -162,20 +163,27 @@ fn is_transition(state: &str) -> bool {
     state.contains(['y', 'u']) || !state.contains(['G', 'g'])
 }
 
-/// Compares the programs that SUMO runs, one answer for each agent, with the one wanted.
+/// Takes over which phase each light shows, and checks that it runs the program it was given.
 ///
-/// A light that runs another has one that was loaded later, or a plan that switches programs, which an additional file of
-/// the scenario can hold.
-pub(super) fn check(wanted: &str, layout: &NetworkLayout, running: &Replies<'_>) -> Result<(), SimError> {
+/// A light that runs another has a plan that switches programs, which an additional file of the scenario can hold.
+pub(super) fn follow(
+    program: SumoProgram,
+    simulation: &mut Simulation,
+    layout: &NetworkLayout,
+    signals: &mut SignalTiming,
+) -> Result<(), SimError> {
+    let lights = layout.intersections.iter().map(|intersection| intersection.id.as_str());
+    let replies = simulation.programs_and_states(lights)?;
     for (agent, intersection) in layout.intersections.iter().enumerate() {
-        let running = running.str(agent)?;
-        if running != wanted {
+        let (running, state) = (replies.str(2 * agent)?, replies.str(2 * agent + 1)?);
+        if let Some(wanted) = program.id().filter(|wanted| *wanted != running) {
             return Err(SimError::ProgramNotRunning {
                 light: intersection.id.clone(),
                 wanted: wanted.to_owned(),
                 running: running.to_owned(),
             });
         }
+        signals.follow(agent, state);
     }
     Ok(())
 }

@@ -90,30 +90,15 @@ impl Simulation {
         Ok(())
     }
 
-    /// The state that each of these lights shows, in their order.
-    pub(super) fn states<'l>(
+    /// The program that each of these lights runs, each followed by the state that it shows.
+    pub(super) fn programs_and_states<'l>(
         &mut self,
-        lights: impl IntoIterator<Item = &'l str>,
-    ) -> Result<Replies<'_>, TraciError> {
-        self.of_lights(traffic_light::RED_YELLOW_GREEN_STATE, lights)
-    }
-
-    /// The program that each of these lights runs, in their order.
-    pub(super) fn programs<'l>(
-        &mut self,
-        lights: impl IntoIterator<Item = &'l str>,
-    ) -> Result<Replies<'_>, TraciError> {
-        self.of_lights(traffic_light::CURRENT_PROGRAM, lights)
-    }
-
-    fn of_lights<'l>(
-        &mut self,
-        variable: u8,
         lights: impl IntoIterator<Item = &'l str>,
     ) -> Result<Replies<'_>, TraciError> {
         let mut batch = self.sumo.client().batch();
         for light in lights {
-            batch.get(Domain::TrafficLight, variable, light);
+            batch.get(Domain::TrafficLight, traffic_light::CURRENT_PROGRAM, light);
+            batch.get(Domain::TrafficLight, traffic_light::RED_YELLOW_GREEN_STATE, light);
         }
         batch.send()
     }

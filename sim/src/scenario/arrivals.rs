@@ -43,7 +43,7 @@ impl Arrivals {
             }
         };
         let minute_of = |time: f64| ((time - begin).max(0.0) / MINUTE).floor() as usize;
-        let range = minute_of(first)..self.per_minute.len().min(minute_of(last) + 1);
+        let range = minute_of(first)..self.per_minute.len().min(minute_of(last).saturating_add(1));
         let mut inside = 0.0;
         for minute in range {
             let from = begin + minute as f64 * MINUTE;
