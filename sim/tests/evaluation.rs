@@ -1,16 +1,14 @@
-//! Evaluation on real SUMO: metrics beside SUMO's own outputs, repetition, failures.
+//! Evaluation on real SUMO: repetition, details, failures. Metrics beside SUMO's own outputs are in `agreement.rs`.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may panic")]
 
 use cross_config::EnvConfig;
 use cross_sim::controller::{Controller, ControllerError, ControllerView, FixedTime, RuleBased};
 use cross_sim::env::{Env, EnvOptions};
 use cross_sim::evaluate::{EvalReport, EvaluateError, Setting, evaluate, evaluate_seeds, strongest, table};
-use cross_sim::metrics::{Metric, SecondMeter, TripTotals};
+use cross_sim::metrics::{EpisodeMetrics, Metric, SecondMeter, TripTotals};
 use cross_sim::scenario::Scenario;
 use cross_traci::SumoHome;
-use std::collections::HashSet;
 use std::ops::ControlFlow;
-use std::path::Path;
 use std::sync::Mutex;
 
 /// Long enough for arrivals at the first stop lines, queues and finished trips, and for the gridlock rule to apply.
@@ -45,132 +43,6 @@ fn go_on<T>(_: T) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-/// Value of an attribute in a line of XML, without the parser under test.
-fn attribute<'l>(line: &'l str, name: &str) -> Option<&'l str> {
-    let from = line.find(&format!(" {name}=\""))? + name.len() + 3;
-    Some(&line[from..from + line[from..].find('"')?])
-}
-
-fn number(line: &str, name: &str) -> f64 {
-    attribute(line, name).unwrap_or_else(|| panic!("no {name} in {line}")).parse().unwrap()
-}
-
-fn lines(path: &Path, element: &str) -> Vec<String> {
-    let open = format!("<{element} ");
-    let text = std::fs::read_to_string(path).unwrap();
-    text.lines().filter(|line| line.trim_start().starts_with(&open)).map(str::to_owned).collect()
-}
-
-fn close(ours: f64, theirs: f64, tolerance: f64, what: &str) {
-    assert!((ours - theirs).abs() <= tolerance, "{what}: ours {ours}, SUMO's {theirs}");
-}
-
-/// Runs an episode by hand, with all of SUMO's own records.
-fn recorded(ground: &Ground, folder: &Path) -> (SecondMeter, TripTotals) {
-    let file = |name: &str| folder.join(name).display().to_string();
-    let options = EnvOptions {
-        tripinfo: Some(folder.join("trips.xml")),
-        extra_args: [
-            ["--summary-output", &file("summary.xml")],
-            ["--fcd-output", &file("fcd.xml")],
-            ["--statistic-output", &file("statistics.xml")],
-            ["--precision", "9"],
-        ]
-        .concat()
-        .into_iter()
-        .map(str::to_owned)
-        .collect(),
-        ..EnvOptions::new(ground.env.clone())
-    };
-    let mut env = Env::new(&ground.home, &ground.scenario, options).unwrap();
-    env.reset(5).unwrap();
-    let layout = env.layout().clone();
-    let mut meter = SecondMeter::default();
-    let mut actions = vec![0; layout.agents()];
-    for step in 0..ground.env.steps_per_episode() {
-        let view = ControllerView {
-            layout: &layout,
-            observation: env.observation(),
-            lanes: env.lanes(),
-            step,
-            time: env.time(),
-        };
-        FixedTime.act(&view, &mut actions).unwrap();
-        env.step_observed(&actions, &mut meter).unwrap();
-    }
-    env.finish().unwrap();
-    (meter, TripTotals::read(&folder.join("trips.xml")).unwrap())
-}
-
-#[test]
-fn metrics_agree_with_sumos_own_outputs() {
-    for name in ["grid4x4", "arterial4x4"] {
-        let ground = Ground::new(name);
-        let folder = tempfile::tempdir().unwrap();
-        let (meter, trips) = recorded(&ground, folder.path());
-        let begin = f64::from(ground.scenario.begin);
-
-        // Queue: halting vehicles on lanes that a signal controls, from the position record of every vehicle.
-        let net = std::fs::read_to_string(&ground.scenario.net).unwrap();
-        let signalised: HashSet<String> = net
-            .lines()
-            .filter(|line| line.contains("<connection ") && line.contains(" tl=\""))
-            .map(|line| {
-                format!("{}_{}", attribute(line, "from").unwrap(), attribute(line, "fromLane").unwrap())
-            })
-            .collect();
-        let mut halting = 0;
-        let (mut seconds, mut time) = (0, 0.0);
-        for line in std::fs::read_to_string(folder.path().join("fcd.xml")).unwrap().lines() {
-            if line.contains("<timestep ") {
-                time = number(line, "time");
-                seconds += u32::from(time >= begin && time < begin + f64::from(SECONDS));
-            } else if line.contains("<vehicle ") && time < begin + f64::from(SECONDS) {
-                let lane = attribute(line, "lane").unwrap();
-                halting += u32::from(signalised.contains(lane) && number(line, "speed") < 0.1);
-            }
-        }
-        assert_eq!(seconds, SECONDS, "{name}: SUMO recorded every second");
-        assert!(halting > 1000, "{name}: {halting} halts are too few to tell anything");
-        let queue = f64::from(halting) / f64::from(SECONDS) / signalised.len() as f64;
-        close(meter.queue_length().mean, queue, 1e-9, "queue length");
-
-        // Speed, arrivals, departures: from the summary of every second.
-        let summary = lines(&folder.path().join("summary.xml"), "step");
-        let summary = &summary[..SECONDS as usize];
-        // SUMO writes -1 for the mean speed of no vehicles.
-        let speeds = summary.iter().map(|line| number(line, "meanSpeed").max(0.0));
-        close(meter.speed().mean, speeds.sum::<f64>() / f64::from(SECONDS), 1e-6, "speed");
-        let last = summary.last().unwrap();
-        close(meter.arrived() as f64, number(last, "arrived"), 0.0, "arrived");
-        close(meter.departed() as f64, number(last, "inserted"), 0.0, "departed");
-        let rate = number(last, "arrived") / f64::from(SECONDS);
-        close(meter.trip_completion_rate().mean, rate, 1e-9, "trip completion rate");
-
-        // Vehicles: from SUMO's own totals, which count finished and unfinished trips, as ours do.
-        close(trips.finished() as f64, number(last, "arrived"), 0.0, "finished");
-        close(trips.unfinished() as f64, number(last, "running"), 0.0, "unfinished");
-        // SUMO's last attempt to insert is at the beginning of the last second; who is due within that second counts as
-        // never inserted, too, but not as waiting yet.
-        let due_too_late = lines(&folder.path().join("trips.xml"), "tripinfo")
-            .iter()
-            .filter(|line| number(line, "depart") < 0.0)
-            .filter(|line| number(line, "departDelay") > 0.0 && number(line, "departDelay") < 1.0)
-            .count();
-        let waiting = number(last, "waiting") + due_too_late as f64;
-        close(trips.never_inserted() as f64, waiting, 0.0, "never inserted");
-        let totals = &lines(&folder.path().join("statistics.xml"), "vehicleTripStatistics")[0];
-        close((trips.finished() + trips.unfinished()) as f64, number(totals, "count"), 0.0, "trips");
-        let total = number(totals, "totalTravelTime");
-        close(trips.trip_time().mean, total / number(totals, "count"), 1e-6, "trip time");
-        // These two SUMO gives only as means, cut to the milliseconds of its clock, as are the values they are taken of.
-        close(trips.trip_delay().mean, number(totals, "waitingTime"), 2e-3, "trip delay");
-        close(trips.time_loss().mean, number(totals, "timeLoss"), 2e-3, "time loss");
-        assert!(trips.trip_delay().mean > 1.0, "{name}: somebody waited");
-        assert!(trips.trip_duration().mean > 0.0);
-    }
-}
-
 #[test]
 fn an_evaluation_repeats_itself_whatever_the_number_of_workers() {
     let ground = Ground::new("grid4x4");
@@ -183,6 +55,108 @@ fn an_evaluation_repeats_itself_whatever_the_number_of_workers() {
         let delays: Vec<_> =
             alone.per_seed.iter().map(|episode| episode.get(Metric::TripDelay).mean).collect();
         assert!(delays[0] != delays[1] && delays[1] != delays[2], "seeds differ: {delays:?}");
+    }
+}
+
+/// Runs an episode by hand as an evaluation does, but without SUMO's emissions device and without records of details.
+fn without_emissions(ground: &Ground, seed: u32) -> EpisodeMetrics {
+    let folder = tempfile::tempdir().unwrap();
+    let tripinfo = Some(folder.path().join("trips.xml"));
+    let options = EnvOptions { tripinfo: tripinfo.clone(), ..EnvOptions::new(ground.env.clone()) };
+    let mut env = Env::new(&ground.home, &ground.scenario, options).unwrap();
+    env.reset(seed).unwrap();
+    let layout = env.layout().clone();
+    let mut meter = SecondMeter::default();
+    let mut total_reward = 0.0;
+    let mut actions = vec![0; layout.agents()];
+    for step in 0..ground.env.steps_per_episode() {
+        let view = ControllerView {
+            layout: &layout,
+            observation: env.observation(),
+            lanes: env.lanes(),
+            step,
+            time: env.time(),
+        };
+        FixedTime.act(&view, &mut actions).unwrap();
+        let outcome = env.step_observed(&actions, &mut meter).unwrap();
+        total_reward += outcome.rewards.iter().map(|&reward| f64::from(reward)).sum::<f64>();
+    }
+    env.finish().unwrap();
+    let trips = TripTotals::read(&tripinfo.unwrap()).unwrap();
+    EpisodeMetrics::new(seed, &meter, &trips, total_reward / layout.agents() as f64)
+}
+
+#[test]
+fn measuring_emissions_and_details_changes_nothing_in_the_traffic() {
+    for name in ["grid4x4", "arterial4x4", "cologne1"] {
+        let ground = Ground::new(name);
+        let plain = without_emissions(&ground, 7);
+        let setting = Setting { details: true, ..ground.setting() };
+        let measured = evaluate(&setting, &mut FixedTime, 7, &mut go_on).unwrap().metrics;
+        for metric in Metric::ALL {
+            if matches!(metric, Metric::Co2 | Metric::Fuel) {
+                assert_eq!(plain.get(metric).mean, 0.0, "{name}: nobody measured {}", metric.key());
+                assert!(measured.get(metric).mean > 0.0, "{name}: {}", metric.key());
+            } else {
+                assert_eq!(plain.get(metric), measured.get(metric), "{name}: {}", metric.key());
+            }
+        }
+        assert_eq!(plain.vehicles, measured.vehicles);
+        assert_eq!(plain.episode_return, measured.episode_return);
+        // A litre of petrol weighs 750 g and becomes 2.3 kg of carbon dioxide.
+        let ratio = measured.get(Metric::Co2).mean / measured.get(Metric::Fuel).mean;
+        assert!((2.9..3.3).contains(&ratio), "{name}: {ratio} g of CO2 per g of fuel");
+    }
+}
+
+#[test]
+fn details_are_those_of_the_metrics_and_small_enough_for_a_page() {
+    let ground = Ground::new("grid4x4");
+    let env = EnvConfig { episode_seconds: 3600, ..ground.env.clone() };
+    let setting = Setting { env: &env, details: true, ..ground.setting() };
+    let make = || Ok(RuleBased::MaxPressure.controller(ground.scenario.reference.max_pressure));
+    let report = evaluate_seeds(&setting, "max-pressure", &make, &[2, 1, 3], 2, &go_on).unwrap();
+    let json = report.to_json();
+    assert!(json.len() < 2_000_000, "{} bytes", json.len());
+    assert_eq!(EvalReport::from_json(&json).unwrap(), report);
+
+    let details = report.details.as_ref().unwrap();
+    assert_eq!((details.network.edges.len(), details.network.signals.len()), (80, 16));
+    assert!(details.network.edges.iter().all(|edge| edge.lanes == 3 && edge.shape.len() >= 2));
+    assert_eq!(details.network.edges[0].shape, [[304.8, 313.6], [304.8, 586.4]]);
+    assert_eq!(details.seeds.iter().map(|seed| seed.seed).collect::<Vec<_>>(), report.seeds);
+    for (seed, metrics) in details.seeds.iter().zip(&report.per_seed) {
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        let close = |ours: f64, metric: Metric| {
+            let theirs = metrics.get(metric).mean;
+            assert!((ours - theirs).abs() < 1e-4, "{}: {ours} and {theirs}", metric.key());
+        };
+        close(mean(&seed.series.queue_length), Metric::QueueLength);
+        close(mean(&seed.series.speed), Metric::Speed);
+        assert_eq!(seed.series.arrived.len(), 360);
+        assert_eq!(u64::from(seed.series.arrived.iter().sum::<u32>()), metrics.vehicles.finished);
+        let trips = &seed.trips;
+        close(mean(&[&trips.finished.trip_time[..], &trips.unfinished.trip_time].concat()), Metric::TripTime);
+        close(
+            mean(&[&trips.finished.trip_delay[..], &trips.unfinished.trip_delay].concat()),
+            Metric::TripDelay,
+        );
+        close(mean(&trips.finished.trip_time), Metric::FinishedTripTime);
+        assert_eq!(trips.never_inserted.len() as u64, metrics.vehicles.never_inserted);
+        // All junctions are alike, so that the network's queue is the mean of theirs, and theirs that of their roads.
+        let queues: Vec<_> = seed.intersections.iter().map(|at| at.queue_length).collect();
+        close(mean(&queues), Metric::QueueLength);
+        for (at, signal) in seed.intersections.iter().zip(&details.network.signals) {
+            assert_eq!(at.id, signal.id);
+            let roads: Vec<_> = at.roads.iter().map(|road| road.queue_length).collect();
+            assert!((mean(&roads) - at.queue_length).abs() < 1e-3, "{at:?}");
+            assert!(
+                at.vehicles >= at.stopped && (at.stopped - 12.0 * at.queue_length).abs() < 1e-2,
+                "{at:?}"
+            );
+            let drawn = |edge: &str| details.network.edges.iter().any(|drawn| drawn.id == edge);
+            assert!(at.roads.iter().all(|road| drawn(&road.edge)), "{at:?}");
+        }
     }
 }
 

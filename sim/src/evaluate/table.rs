@@ -2,6 +2,7 @@
 
 use super::report::{EvalReport, Protocol};
 use crate::metrics::{Better, Metric};
+use cross_config::Detection;
 use std::fmt::Write;
 
 /// Metrics that a table shows, papers' six first.
@@ -92,36 +93,58 @@ fn vehicle_rows(reports: &[&EvalReport]) -> [Vec<String>; 4] {
     ]
 }
 
-/// Scenario, and what all columns have in common; what they do not is said to differ rather than left out.
+/// Scenario, and in lines of their own the protocol that all columns have in common; what they do not is said to differ
+/// rather than left out.
 fn title(scenario: &str, reports: &[&EvalReport]) -> String {
-    let mut title = scenario.to_owned();
-    let Some((first, others)) = reports.split_first() else { return title };
-    let mut add = |name: &str, text: &dyn Fn(&EvalReport) -> String| {
+    let Some((first, others)) = reports.split_first() else { return scenario.to_owned() };
+    let common = |name: &str, text: &dyn Fn(&EvalReport) -> String| {
         let common = text(first);
         if others.iter().all(|other| text(other) == common) {
-            // Writing to a string cannot fail.
-            let _ = write!(title, ", {common}");
+            common
         } else {
-            let _ = write!(title, ", {name} differ between columns");
+            format!("{name} differ between columns")
         }
     };
-    add("seeds", &|report| seeds(&report.seeds));
-    add("intervals", &|report| {
-        let Protocol { interval_seconds, yellow_seconds, episode_seconds, .. } = report.protocol;
-        format!("{episode_seconds} s, decision every {interval_seconds} s with {yellow_seconds} s of yellow")
-    });
-    add("teleport times", &|report| match report.protocol.time_to_teleport_seconds {
-        never if never < 0.0 => "no teleports".to_owned(),
-        seconds => format!("teleport after {seconds} s"),
-    });
-    add("SUMO versions", &|report| format!("SUMO {}", report.protocol.sumo_version));
-    if others.iter().any(|other| {
-        (&other.protocol.net_hash, &other.protocol.demand_hash)
-            != (&first.protocol.net_hash, &first.protocol.demand_hash)
-    }) {
-        title.push_str(", net or demand differ between columns");
-    }
-    title
+    let of = |name: &str, text: &dyn Fn(&Protocol) -> String| common(name, &|report| text(&report.protocol));
+    let rules = [
+        of("protocols", &|own| format!("protocol {}", own.preset)),
+        of("intervals", &|own| {
+            let Protocol { interval_seconds, yellow_seconds, episode_seconds, .. } = own;
+            format!(
+                "{episode_seconds} s, decision every {interval_seconds} s with {yellow_seconds} s of yellow"
+            )
+        }),
+        of("teleport times", &|own| match own.time_to_teleport_seconds {
+            never if never < 0.0 => "no teleports".to_owned(),
+            seconds => format!("teleport after {seconds} s"),
+        }),
+        of("detectors", &|own| {
+            let detection = match own.detection {
+                Detection::Paper => "within 50 m",
+                Detection::Default => "whole lanes",
+            };
+            format!("detection {detection}, reward within {} m", own.reward_range_metres)
+        }),
+    ];
+    let files = [
+        of("SUMO versions", &|own| format!("SUMO {}", own.sumo_version)),
+        of("departure options", &|own| {
+            format!("departure speed {}, lane {}", own.depart_speed, own.depart_lane)
+        }),
+        of("nets", &|own| format!("net {}", abbreviated(&own.net_hash))),
+        of("demands", &|own| format!("demand {}", abbreviated(&own.demand_hash))),
+    ];
+    format!(
+        "{scenario}, {}\n  {}\n  {}",
+        common("seeds", &|report| seeds(&report.seeds)),
+        rules.join(", "),
+        files.join(", ")
+    )
+}
+
+/// The beginning of a hash, enough to tell two apart at a glance; JSON has all of it.
+fn abbreviated(hash: &str) -> &str {
+    hash.get(..8).unwrap_or(hash)
 }
 
 fn seeds(seeds: &[u32]) -> String {
@@ -170,10 +193,15 @@ mod tests {
             report("grid4x4", "fixed-time", &[50.0, 52.0]),
             report("grid4x4", "max-pressure-stopped", &[23.0, 24.0]),
         ]);
-        let first = text.lines().next().unwrap();
+        let title: Vec<_> = text.lines().take(3).collect();
         assert_eq!(
-            first,
-            "grid4x4, seeds 1 to 2, 3600 s, decision every 10 s with 3 s of yellow, no teleports, SUMO 1.28.0"
+            title,
+            [
+                "grid4x4, seeds 1 to 2",
+                "  protocol paper, 3600 s, decision every 10 s with 3 s of yellow, no teleports, detection whole lanes, \
+                 reward within 50 m",
+                "  SUMO 1.28.0, departure speed 0, lane first, net aa, demand bb",
+            ]
         );
         let delay = line(&text, "trip delay (s) ↓");
         assert!(delay.contains("11.0* ±0.0"), "{delay}");
@@ -183,7 +211,7 @@ mod tests {
             .iter()
             .map(|name| line(&text, name).chars().count())
             .collect();
-        assert!(ends.iter().all(|&end| end == text.lines().nth(1).unwrap().chars().count()), "{text}");
+        assert!(ends.iter().all(|&end| end == text.lines().nth(3).unwrap().chars().count()), "{text}");
     }
 
     #[test]
@@ -213,9 +241,11 @@ mod tests {
         other.protocol.yellow_seconds = 5;
         other.protocol.demand_hash = "dd".to_owned();
         let text = table(&[report("s", "a", &[1.0, 2.0]), other]);
-        let title = text.lines().next().unwrap();
-        for difference in ["seeds differ", "intervals differ", "net or demand differ"] {
-            assert!(title.contains(difference), "{title}");
+        for same in ["protocol paper", "no teleports", "net aa"] {
+            assert!(text.contains(same), "{text}");
+        }
+        for difference in ["seeds differ", "intervals differ", "demands differ"] {
+            assert!(text.contains(difference), "{text}");
         }
     }
 
