@@ -2,7 +2,11 @@
 
 use cross_config::ConfigError;
 use cross_model::ModelError;
+use cross_sim::SimError;
+use cross_sim::controller::ControllerError;
+use cross_sim::metrics::TripInfoError;
 use std::path::PathBuf;
+use std::process::ExitStatus;
 
 /// An error of a benchmark.
 #[derive(Debug, thiserror::Error)]
@@ -17,6 +21,74 @@ pub enum BenchError {
     #[error("cannot read the peak memory from {}; this benchmark needs Linux with /proc mounted: {source}", path.display())]
     Memory {
         /// File of the kernel.
+        path: PathBuf,
+        /// What went wrong.
+        source: std::io::Error,
+    },
+    /// SUMO or the environment failed.
+    #[error(transparent)]
+    Sim(#[from] SimError),
+    /// SUMO's record of trips cannot be used.
+    #[error(transparent)]
+    Trips(#[from] TripInfoError),
+    /// A rule failed.
+    #[error("the controller failed: {source}")]
+    Controller {
+        /// What it said.
+        source: ControllerError,
+    },
+    /// CPU time of this process and its children that the kernel should tell.
+    #[error("cannot read the CPU time from {}; this benchmark needs Linux with /proc mounted: {source}", path.display())]
+    CpuTime {
+        /// File of the kernel.
+        path: PathBuf,
+        /// What went wrong.
+        source: std::io::Error,
+    },
+    /// SUMO's command line that the kernel should tell.
+    #[error("cannot read SUMO's command line from {}; this benchmark needs Linux with /proc mounted: {source}", path.display())]
+    CommandLine {
+        /// File of the kernel.
+        path: PathBuf,
+        /// What went wrong.
+        source: std::io::Error,
+    },
+    /// SUMO alone could not be started.
+    #[error("cannot start SUMO alone: {source}")]
+    Sumo {
+        /// What went wrong.
+        source: std::io::Error,
+    },
+    /// SUMO alone failed.
+    #[error("SUMO alone ended with {status} on the signal plan of our episode, saying: {said}")]
+    Replay {
+        /// How it ended.
+        status: ExitStatus,
+        /// Its last line.
+        said: String,
+    },
+    /// The two sides did not simulate the same.
+    #[error(
+        "the replay is not the same traffic: {different} records of trips differ, of {ours} in our episode and {bare} in the replay; their times cannot be compared"
+    )]
+    OtherTraffic {
+        /// Records that differ.
+        different: usize,
+        /// Records of our episode.
+        ours: usize,
+        /// Records of the replay.
+        bare: usize,
+    },
+    /// No place for files.
+    #[error("cannot make a temporary folder: {source}")]
+    Folder {
+        /// What went wrong.
+        source: std::io::Error,
+    },
+    /// A file that could not be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// Which.
         path: PathBuf,
         /// What went wrong.
         source: std::io::Error,

@@ -3,6 +3,7 @@
 //! One file or folder a benchmark; what they share is the report and a way to tell how far they are. `cross bench` is
 //! their command line.
 
+pub mod env;
 pub mod error;
 pub mod memory;
 pub mod plain;

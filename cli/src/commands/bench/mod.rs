@@ -1,5 +1,6 @@
 //! `cross bench`: speed, beside a baseline on the same machine.
 
+mod env;
 mod update;
 
 use crate::failure::Outcome;
@@ -16,6 +17,7 @@ use std::process::ExitCode;
 #[command(after_help = "\
 Examples:
   cross bench update            a PPO update: packed as it runs, and padded as the paper writes it
+  cross bench env               episodes and decisions: the actor's whole path, and SUMO alone
   cross bench update --json     the same as one JSON document
 
 The column `times better` is above 1 where ours is better, whichever direction of the figure is good.
@@ -32,6 +34,7 @@ pub(crate) struct Bench {
 #[derive(Debug, Subcommand)]
 enum Command {
     Update(update::Update),
+    Env(env::Env),
 }
 
 impl Bench {
@@ -39,6 +42,7 @@ impl Bench {
         let progress = |line: &str| say(line);
         let report = match &self.command {
             Command::Update(command) => command.run(&progress)?,
+            Command::Env(command) => Some(command.run(&progress)?),
         };
         match report {
             Some(report) if self.json => output::json(&report)?,
