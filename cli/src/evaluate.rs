@@ -16,6 +16,8 @@ pub(crate) struct Task<'a> {
     pub(crate) scenario: &'a Scenario,
     pub(crate) env: &'a EnvConfig,
     pub(crate) policy: &'a PolicySpec,
+    /// Whether the report shall have what `cross report` draws.
+    pub(crate) details: bool,
 }
 
 /// How far an evaluation is.
@@ -65,7 +67,7 @@ pub(crate) fn evaluate_all(
         }
     });
     let reports = results.into_inner().unwrap_or_else(PoisonError::into_inner)?;
-    Ok(merge(tasks.len(), &reports))
+    Ok(merge(tasks.len(), reports))
 }
 
 fn episode(
@@ -74,28 +76,21 @@ fn episode(
     seed: u32,
     step: &(dyn Fn(cross_sim::evaluate::SeedProgress) -> ControlFlow<()> + Sync),
 ) -> Result<EvalReport, EvaluateError> {
-    let setting = Setting::new(home, task.scenario, task.env);
+    let setting = Setting { details: task.details, ..Setting::new(home, task.scenario, task.env) };
     let make =
         || task.policy.controller(task.scenario).map_err(|error| ControllerError::from(error.to_string()));
     evaluate_seeds(&setting, task.policy.name(), &make, &[seed], 1, step)
 }
 
 /// Joins the reports of single episodes to one for each task.
-fn merge(tasks: usize, reports: &[(usize, EvalReport)]) -> Vec<EvalReport> {
-    (0..tasks)
-        .filter_map(|task| {
-            let own: Vec<_> =
-                reports.iter().filter(|(of, _)| *of == task).map(|(_, report)| report).collect();
-            let first = own.first()?;
-            Some(EvalReport::new(
-                first.scenario.clone(),
-                first.policy.clone(),
-                first.controller.clone(),
-                first.protocol.clone(),
-                own.iter().flat_map(|report| report.per_seed.iter().cloned()).collect(),
-            ))
-        })
-        .collect()
+fn merge(tasks: usize, reports: Vec<(usize, EvalReport)>) -> Vec<EvalReport> {
+    let mut of_task: Vec<Vec<EvalReport>> = vec![Vec::new(); tasks];
+    for (task, report) in reports {
+        if let Some(of_task) = of_task.get_mut(task) {
+            of_task.push(report);
+        }
+    }
+    of_task.into_iter().filter_map(EvalReport::join).collect()
 }
 
 /// Seeds 1 to `count`.
