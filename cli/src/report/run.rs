@@ -1,6 +1,6 @@
 //! A run directory of `cross train`, finished or not, as far as a report shows it.
 
-use super::input;
+use super::{input, number};
 use crate::failure::{Failure, OrBadInput, Outcome};
 use anyhow::Context;
 use cross_config::Config;
@@ -133,11 +133,14 @@ impl Run {
     /// How far it came, in words.
     pub(super) fn state(&self) -> String {
         let done = self.lines.last().map_or(0, |line| line.update);
-        let of = self.config.as_ref().map_or_else(String::new, |config| format!(" of {}", config.updates));
+        let done = match &self.config {
+            Some(config) => format!("{done} of {}", number::counted(config.updates as usize, "update")),
+            None => number::counted(done as usize, "update"),
+        };
         match &self.end {
-            Some(End { interrupted: false, .. }) => format!("complete, {done}{of} updates"),
-            Some(_) => format!("stopped on request after {done}{of} updates"),
-            None => format!("{done}{of} updates so far; no result yet: it is going on, or it ended early"),
+            Some(End { interrupted: false, .. }) => format!("complete, {done}"),
+            Some(_) => format!("stopped on request after {done}"),
+            None => format!("{done} so far; no result yet: it is going on, or it ended early"),
         }
     }
 }
