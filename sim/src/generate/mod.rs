@@ -13,6 +13,9 @@ pub(crate) mod folder;
 pub(crate) mod grid;
 pub(crate) mod netconvert;
 pub(crate) mod plain;
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may panic")]
+mod properties;
 pub(crate) mod xml;
 
 pub use cache::GeneratedFiles;
