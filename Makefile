@@ -13,14 +13,14 @@ IN_ENV := . .deps/environment.sh && unset CARGO_BUILD_TARGET && export CARGO_BUI
 IN_TARGET := --target-dir '$(TARGET)'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup build train test test-setup images verify fix clean distclean
+.PHONY: help setup build train baselines test test-setup images verify fix clean distclean
 
 help: ## Show this list
 	@echo 'Two commands:  make train   and   make test'
 	@echo
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1|\2/p' Makefile | awk -F'|' '{ printf "%-18s %s\n", $$1, $$2 }'
 	@echo
-	@echo '  ARGS="..."         options passed on by train, as in: make train ARGS="--updates 500 --scenario grid4x4"'
+	@echo '  ARGS="..."         options passed on by train and baselines, as in: make train ARGS="--updates 500 --scenario grid4x4"'
 	@echo '  CROSS_TORCH=cuda   set up libtorch with its CUDA libraries instead of the CPU ones'
 	@echo '  CROSS_CACHE=DIR    keep downloaded wheels in DIR, for other checkouts'
 
@@ -35,6 +35,9 @@ build: setup ## Set up and build the binaries in release: target/release/cross, 
 train: build ## Train CROSS on real SUMO, then compare it with Fixed-Time and Max-Pressure
 	@# exec: a signal that make passes on reaches the run itself, not a shell that would leave it behind.
 	@$(IN_ENV) exec '$(TARGET)/release/cross' train $(ARGS)
+
+baselines: build ## Evaluate the rules on the eight scenarios and write docs/baselines.md (an hour of CPU time; resumable)
+	@$(IN_ENV) exec '$(TARGET)/release/cross' baselines --markdown docs/baselines.md $(ARGS)
 
 test: build test-setup ## Every test: set-up, documentation, units, and whole clusters with real SUMO
 	@$(IN_ENV) $(CARGO) test $(IN_TARGET) --release --workspace

@@ -55,7 +55,7 @@ fn protocol(page: &mut String, report: &Report) {
             &[
                 code(&scenario.scenario),
                 scenario.vehicles.to_string(),
-                seeds(&scenario.seeds),
+                all_seeds(scenario),
                 teleport,
                 departure,
                 code(&short(&scenario.net_hash)),
@@ -202,7 +202,10 @@ fn figure(figure: &Figure, metric: Metric) -> String {
 }
 
 fn difference(comparison: &Comparison) -> String {
-    format!("{:+.1} %{}", 100.0 * comparison.difference, verdict(comparison))
+    let text = format!("{:+.1}", 100.0 * comparison.difference);
+    // What rounds to nothing has no direction.
+    let text = if text.ends_with("0.0") && text.len() == 4 { "0.0" } else { &text };
+    format!("{text} %{}", verdict(comparison))
 }
 
 fn verdict(comparison: &Comparison) -> &'static str {
@@ -255,6 +258,22 @@ fn seeds(seeds: &[u32]) -> String {
         [first, _, .., last] if (last - first) as usize + 1 == seeds.len() => format!("{first} to {last}"),
         _ => seeds.iter().map(u32::to_string).collect::<Vec<_>>().join(", "),
     }
+}
+
+/// The seeds of a scenario's rules: of most, and of those that have others.
+fn all_seeds(scenario: &ScenarioReport) -> String {
+    let mut groups: Vec<(&[u32], Vec<&str>)> = Vec::new();
+    for policy in &scenario.policies {
+        match groups.iter_mut().find(|(seeds, _)| *seeds == policy.seeds) {
+            Some((_, policies)) => policies.push(policy.policy),
+            None => groups.push((&policy.seeds, vec![policy.policy])),
+        }
+    }
+    let text = groups.iter().enumerate().map(|(number, (of, policies))| match number {
+        0 => seeds(of),
+        _ => format!("{} ({})", seeds(of), policies.join(", ")),
+    });
+    text.collect::<Vec<_>>().join("; ")
 }
 
 fn short(hash: &str) -> String {
@@ -355,6 +374,14 @@ mod tests {
         assert_eq!(reference.matches('✗').count(), 12);
         assert!(reference.contains("| `grid4x4` | **`max-pressure-all`** |"), "{reference}");
         assert!(section(&page, "Beside the paper").contains("0 of 8 figures agree"));
+    }
+
+    #[test]
+    fn rules_with_other_seeds_are_named() {
+        let mut report =
+            report(&["grid5x5"], &[RuleBased::FixedTime, RuleBased::MaxPressureAll, RuleBased::Greedy]);
+        report.scenarios[0].policies[2].seeds = vec![1, 2, 3];
+        assert_eq!(all_seeds(&report.scenarios[0]), "1, 2; 1 to 3 (greedy)");
     }
 
     #[test]

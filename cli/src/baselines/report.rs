@@ -33,7 +33,6 @@ pub(crate) struct ScenarioReport {
     /// Vehicles that its demand defines.
     pub(crate) vehicles: u64,
     pub(crate) begin_seconds: u32,
-    pub(crate) seeds: Vec<u32>,
     pub(crate) net_hash: String,
     pub(crate) demand_hash: String,
     pub(crate) sumo: SumoOptions,
@@ -44,6 +43,7 @@ pub(crate) struct ScenarioReport {
 #[derive(Debug, Serialize)]
 pub(crate) struct PolicyReport {
     pub(crate) policy: &'static str,
+    pub(crate) seeds: Vec<u32>,
     /// What the paper calls it, if it is a rule of the paper in the paper's variant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) paper_method: Option<&'static str>,
@@ -92,7 +92,7 @@ impl ScenarioReport {
     fn read(plan: &Plan, subject: &Subject, store: &Store) -> Outcome<Self> {
         let mut policies = Vec::new();
         for &policy in &subject.policies {
-            let episodes = subject.seeds.iter().map(|&seed| {
+            let episodes = subject.seeds(policy).into_iter().map(|seed| {
                 let made = plan.made(&super::plan::Job { subject, policy, seed });
                 store.load(&made).ok_or_else(|| {
                     Failure::failed(format!(
@@ -112,7 +112,6 @@ impl ScenarioReport {
             scenario: scenario.name.clone(),
             vehicles: subject.vehicles,
             begin_seconds: scenario.begin,
-            seeds: subject.seeds.clone(),
             net_hash: scenario.net_hash.clone(),
             demand_hash: scenario.demand_hash.clone(),
             sumo: scenario.sumo.clone(),
@@ -160,6 +159,7 @@ impl PolicyReport {
         }
         Self {
             policy: policy.name(),
+            seeds: episodes.iter().map(|episode| episode.seed).collect(),
             paper_method,
             strongest_max_pressure: false,
             metrics: Metric::ALL.into_iter().filter_map(figure).collect(),
@@ -206,7 +206,6 @@ pub(super) mod tests {
                 scenario: name.to_owned(),
                 vehicles: 1473,
                 begin_seconds: 0,
-                seeds: vec![1, 2],
                 net_hash: "0123456789abcdef".to_owned(),
                 demand_hash: "fedcba9876543210".to_owned(),
                 sumo: SumoOptions::default(),

@@ -9,6 +9,7 @@ use crate::train::progress::say;
 use crate::train::watch::Watch;
 use cross_sim::controller::ControllerError;
 use cross_sim::evaluate::{EvalReport, EvaluateError, SeedProgress, Setting, evaluate_seeds};
+use cross_support::client::ClientSecurity;
 use cross_traci::sumo::SumoHome;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -38,8 +39,9 @@ pub(crate) fn complete(plan: &Plan, store: &Store, home: &SumoHome, workers: usi
     if jobs.is_empty() {
         return Ok(End::Complete);
     }
-    let watch =
-        Watch::start().map_err(|error| Failure::failed(format!("cannot listen for signals: {error}")))?;
+    // No learner is asked anything: only its signals are wanted.
+    let watch = Watch::start(ClientSecurity::default())
+        .map_err(|error| Failure::failed(format!("cannot listen for signals: {error}")))?;
     let work = Work {
         plan,
         store,

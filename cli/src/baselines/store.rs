@@ -68,7 +68,13 @@ pub(crate) struct Episode {
 #[derive(Deserialize)]
 struct Stored {
     made: Made,
-    episode: Episode,
+    /// As `cross eval --json` has it, so that `cross report` reads the folder.
+    evaluation: [Evaluation; 1],
+}
+
+#[derive(Deserialize)]
+struct Evaluation {
+    per_seed: [Episode; 1],
 }
 
 /// The folder of results.
@@ -92,21 +98,15 @@ impl Store {
     /// A file that cannot be read counts as not there: the episode is simulated again and the file replaced.
     pub(crate) fn load(&self, made: &Made) -> Option<Episode> {
         let text = std::fs::read(self.path(made)).ok()?;
-        let stored: Stored = serde_json::from_slice(&text).ok()?;
-        let complete = Metric::ALL.iter().all(|metric| stored.episode.metrics.contains_key(metric.key()));
-        (stored.made == *made && complete).then_some(stored.episode)
+        let Stored { made: found, evaluation: [Evaluation { per_seed: [episode] }] } =
+            serde_json::from_slice(&text).ok()?;
+        let complete = Metric::ALL.iter().all(|metric| episode.metrics.contains_key(metric.key()));
+        (found == *made && complete).then_some(episode)
     }
 
-    /// Keeps the only episode of a report.
+    /// Keeps the report of a single episode.
     pub(crate) fn save(&self, made: &Made, report: &EvalReport) -> Outcome<()> {
-        let episode = report.per_seed.first().context("the evaluation has no episode")?;
-        let document = serde_json::json!({
-            "made": made,
-            "controller": report.controller,
-            "protocol": report.protocol,
-            "episode": episode,
-        });
-        self.write(made, &document)
+        self.write(made, &serde_json::json!({ "made": made, "evaluation": [report] }))
     }
 
     fn write(&self, made: &Made, document: &Value) -> Outcome<()> {
@@ -165,10 +165,9 @@ pub(super) mod tests {
     }
 
     fn document(made: &Made, episode: &Episode) -> Value {
-        serde_json::json!({ "made": made, "episode": {
+        serde_json::json!({ "made": made, "evaluation": [{ "whatever": [1, 2], "per_seed": [{
             "seed": episode.seed, "metrics": episode.metrics, "vehicles": episode.vehicles, "gridlock": episode.gridlock,
-            "whatever": [1, 2],
-        }})
+        }]}]})
     }
 
     #[test]
