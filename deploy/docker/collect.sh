@@ -32,25 +32,33 @@ program() {
     strip --strip-all "$to/$2"
 }
 
-# Paths of the shared libraries that a file needs, of those whose path matches a pattern.
+# Paths of the shared libraries that a program loads.
 libraries() {
     ldd "$1" | awk '$2 == "=>" && $3 ~ /^\// { print $3 }' | sort -u
+}
+
+# The C and C++ runtime is the base image's.
+is_runtime() {
+    case "${1##*/}" in
+    libc.so* | libm.so* | libdl.so* | librt.so* | libpthread.so* | libutil.so* | libresolv.so* | libstdc++.so* | libgcc_s.so*) return 0 ;;
+    *) return 1 ;;
+    esac
 }
 
 echo "collecting the learner: programs, libtorch, scenarios"
 program learner cross
 program learner cross-learner
 deps="$destination/learner/opt/cross/.deps"
-for library in $(libraries "$release/cross-learner" | while read -r path; do realpath -s "$path"; done); do
-    case "$library" in
-    "$root"/.deps/libtorch/*)
-        # The name that the loader asks for is kept, also where it is a link.
-        at="$deps/${library#"$root"/.deps/}"
-        mkdir -p "$(dirname "$at")"
-        cp -L "$library" "$at"
-        ;;
-    esac
+# All that the programs load besides the C and C++ runtime, wherever it was found: libtorch, and the two small CUDA
+# libraries that even its CPU form is linked with. One folder; the image tells the loader of it.
+mkdir -p "$deps/libtorch/torch/lib"
+for library in $(libraries "$release/cross-learner"); do
+    is_runtime "$library" || cp -Ln "$library" "$deps/libtorch/torch/lib/"
 done
+if [ ! -e "$deps/libtorch/torch/lib/libtorch_cpu.so" ]; then
+    echo "error: $release/cross-learner does not find libtorch; run make build again" >&2
+    exit 1
+fi
 # Nets and demand of everything that set-up fetched, and the generated scenarios, so that no container has to write there.
 cp -r "$root/.deps/resco" "$deps/"
 cp -r "$root/scenarios" "$destination/learner/opt/cross/"
@@ -67,12 +75,11 @@ mkdir -p "$sumo/sumo/bin" "$sumo/eclipse_sumo.libs" "$sumo/system" "$sumo/sumo/d
 for tool in sumo netconvert; do
     cp "$root/.deps/sumo/sumo/bin/$tool" "$sumo/sumo/bin/"
     for library in $(libraries "$root/.deps/sumo/sumo/bin/$tool"); do
+        # X11 and GL, which SUMO links and never calls here, come along as bare libraries, because Debian's packages of
+        # them bring a compiler of shaders.
         case "$library" in
         */eclipse_sumo.libs/*) cp -Ln "$library" "$sumo/eclipse_sumo.libs/" ;;
-        # The C and C++ runtime is the base image's; X11 and GL, which SUMO links and never calls here, come along as
-        # bare libraries, because Debian's packages of them bring a compiler of shaders.
-        */libc.so*|*/libm.so*|*/libdl.so*|*/librt.so*|*/libpthread.so*|*/libutil.so*|*/libresolv.so*|*/libstdc++.so*|*/libgcc_s.so*|*/ld-linux*) ;;
-        *) cp -Ln "$library" "$sumo/system/" ;;
+        *) is_runtime "$library" || cp -Ln "$library" "$sumo/system/" ;;
         esac
     done
 done

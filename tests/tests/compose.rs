@@ -173,6 +173,11 @@ fn the_stack_trains_in_containers_and_goes_down_with_a_checkpoint() {
             named.push(inspect(&container, "{{.Name}}").trim_start_matches('/').to_owned());
         }
     }
+    let [learner] = stack.containers("learner").try_into().unwrap();
+    wait::until("a healthy learner", || {
+        assert_eq!(inspect(&learner, "{{.RestartCount}}"), "0", "the learner ended: {}", stack.logs());
+        (inspect(&learner, "{{.State.Health.Status}}") == "healthy").then_some(())
+    });
     wait::until("all three actors at the learner, as Prometheus sees it", || {
         stack.query("max(cross_learner_actors)").filter(|&actors| actors >= 3.0)
     });
@@ -182,10 +187,6 @@ fn the_stack_trains_in_containers_and_goes_down_with_a_checkpoint() {
     // Found by Docker's name service, every actor is a target of its own.
     wait::until("every actor scraped", || {
         stack.query("sum(up{job=\"cross-actor\"})").filter(|&actors| actors >= 3.0)
-    });
-    let [learner] = stack.containers("learner").try_into().unwrap();
-    wait::until("a healthy learner", || {
-        (inspect(&learner, "{{.State.Health.Status}}") == "healthy").then_some(())
     });
     println!("containers: {}; {updates} updates", named.join(", "));
 
