@@ -279,9 +279,12 @@ async fn a_local_run_takes_a_token_and_writes_it_nowhere() {
     let run = Run::new();
     let safe = Safe::new();
     // Variables that are meant for a cluster change nothing.
-    let mut command = run.train(&["--updates", "6", "--actors", "1", "--eval-seeds", "0", "--token-file"]);
-    command.arg(&safe.token).env("CROSS_LOG", "trace").env("CROSS_TLS_CERT", &safe.server.certificate);
-    let training = run.spawn(command);
+    let token = safe.token.display().to_string();
+    let mut command =
+        run.train(&["--updates", "6", "--actors", "1", "--eval-seeds", "0", "--token-file", &token]);
+    command.env("CROSS_LOG", "trace").env("CROSS_TLS_CERT", &safe.server.certificate);
+    let mut training = run.spawn(command);
+    let _ = training.wait_for("cross-learner");
     let file = run.path().join("learner.json");
     let address = wait::until("learner.json", || {
         let value: serde_json::Value = serde_json::from_slice(&std::fs::read(&file).ok()?).ok()?;
@@ -306,7 +309,7 @@ async fn a_local_run_takes_a_token_and_writes_it_nowhere() {
     assert_nowhere(run.config().parent().unwrap(), &[TOKEN]);
 
     let run = Run::new();
-    let mut command = run.train(&["--updates", "1", "--token-file"]);
-    command.arg(&safe.token).env("CROSS_TOKEN", TOKEN);
+    let mut command = run.train(&["--updates", "1", "--token-file", &token]);
+    command.env("CROSS_TOKEN", TOKEN);
     run.spawn(command).wait().assert_refused(&["--token-file", "CROSS_TOKEN"]);
 }
