@@ -87,6 +87,11 @@ pub enum ModelError {
         "the {0} of this update is not finite; the weights before it are kept, lower the learning rates or look for odd rewards"
     )]
     NotFinite(&'static str),
+    /// libtorch gave up in the middle of an update; on a GPU most likely for want of memory.
+    #[error(
+        "libtorch failed during an update ({0}); the weights before it are kept; if memory ran out, lower ppo.minibatch_decisions or ppo.sequence_steps"
+    )]
+    Update(String),
     /// An update without data.
     #[error("an update needs at least one fragment")]
     Empty,

@@ -14,6 +14,7 @@ use cross_sim::layout::NetworkLayout;
 use cross_sim::trajectory::Fragment;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use tch::Tensor;
 
@@ -120,7 +121,7 @@ impl Trainer {
             return Err(ModelError::Empty);
         }
         let before = self.save()?;
-        match self.try_update(fragments) {
+        match guarded(|| self.try_update(fragments)) {
             Ok(stats) => {
                 self.updates += 1;
                 Ok(stats)
@@ -296,6 +297,20 @@ impl Trainer {
     }
 }
 
+/// The bindings panic where libtorch throws, and a GPU without memory left must not take the learner down with it: what
+/// a failed update leaves behind is replaced by what was saved before it.
+fn guarded<T>(work: impl FnOnce() -> Result<T, ModelError>) -> Result<T, ModelError> {
+    // Put back at the end: a panic inside `no_grad` would leave gradients off.
+    let _mode = tch::no_grad_guard();
+    std::panic::catch_unwind(AssertUnwindSafe(|| tch::with_grad(work))).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<String>().map(String::as_str);
+        let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without a message");
+        // libtorch's own stack trace follows its first line, in which the bindings' debug form spells line breaks out.
+        let first = text.split('\n').next().unwrap_or(text).split("\\n").next().unwrap_or(text);
+        Err(ModelError::Update(first.to_owned()))
+    })
+}
+
 /// Backward pass and one step; an error if either is not finite.
 fn descend(
     loss: &Loss,
@@ -311,4 +326,22 @@ fn descend(
     loss.total.f_backward()?;
     let norm = adam.step(net.params(), lr, max_norm);
     if norm.is_finite() { Ok(norm) } else { Err(ModelError::NotFinite(what)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tch::{Device, Kind};
+
+    #[test]
+    fn what_libtorch_throws_is_an_error_in_one_line() {
+        let ones = |rows: i64| Tensor::ones([rows, 2], (Kind::Float, Device::Cpu));
+        let error = guarded(|| Ok(tch::no_grad(|| ones(3).matmul(&ones(5))))).unwrap_err();
+        let text = error.to_string();
+        assert!(matches!(error, ModelError::Update(_)), "{text}");
+        assert!(text.contains("shapes") && !text.contains('\n') && text.len() < 400, "{text}");
+        let x = ones(1).set_requires_grad(true);
+        assert!((&x * 2.0).requires_grad(), "gradients are off after the failure");
+        assert!(guarded(|| Ok((&x * 2.0).requires_grad())).unwrap());
+    }
 }
