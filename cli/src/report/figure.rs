@@ -4,7 +4,7 @@ use super::number::pixel;
 use maud::{Markup, html};
 
 /// How many colours there are before dashes tell series apart.
-const COLOURS: usize = 8;
+pub(super) const COLOURS: usize = 8;
 const DASHES: usize = 4;
 
 /// The style classes of the series at a place: a colour, and further on a dash with it.

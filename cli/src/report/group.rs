@@ -1,12 +1,14 @@
 //! The evaluations of one scenario: who is who, in which order, in which colour, and whether they may be compared.
 
+use super::figure::COLOURS;
 use super::input::Evaluation;
 use super::protocol;
+use crate::paper::{self, PaperResult};
 use cross_sim::controller::RuleBased;
 use cross_sim::evaluate::{EvalReport, strongest};
 use cross_sim::metrics::Metric;
 use serde_json::{Map, Value};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Published policies and what they are called here; a learned policy stands beside the published learned one.
 const PUBLISHED_LEARNED: &str = "cross";
@@ -35,9 +37,15 @@ pub(super) struct Entry<'e> {
 }
 
 impl Entry<'_> {
-    /// What the paper calls this policy, if it has it.
-    pub(super) fn published_method(&self) -> Option<&str> {
-        if self.learned { Some(PUBLISHED_LEARNED) } else { Some(self.report.policy.as_str()) }
+    /// What the paper calls this policy, were it in it.
+    pub(super) fn published_method(&self) -> &str {
+        if self.learned { PUBLISHED_LEARNED } else { self.report.policy.as_str() }
+    }
+
+    /// The published figure that this one may be held against: of the same policy, under the same rules.
+    pub(super) fn published(&self, metric: Metric) -> Option<&'static PaperResult> {
+        let fits = protocol::as_published(self.report);
+        fits.then(|| paper::lookup(&self.report.scenario, self.published_method(), metric.key())).flatten()
     }
 }
 
@@ -130,17 +138,35 @@ fn mark_strongest(entries: &mut [Entry<'_>]) {
     }
 }
 
-/// Gives each label of the page a colour; the same label has the same one in every scenario.
+/// Gives each label of the page a colour: the same one in every scenario, and none that another label of a scenario has.
+///
+/// Each label in turn takes the colour that is rarest on the page among those that no neighbour has, so that colours come
+/// again only where there are more labels than colours.
 fn colour(groups: &mut [Group<'_>]) {
-    let mut known: Vec<(bool, (usize, String), String)> = groups
+    let mut labels: Vec<(bool, (usize, String), String)> = groups
         .iter()
         .flat_map(|group| &group.entries)
         .map(|entry| (!entry.learned, rank(&entry.report.policy), entry.label.clone()))
         .collect();
-    known.sort();
-    known.dedup();
+    labels.sort();
+    labels.dedup();
+    let mut places: BTreeMap<String, usize> = BTreeMap::new();
+    for (_, _, label) in labels {
+        let with_it = groups.iter().filter(|group| group.entries.iter().any(|entry| entry.label == label));
+        let neighbours = with_it.flat_map(|group| &group.entries);
+        let taken: BTreeSet<usize> =
+            neighbours.filter_map(|entry| places.get(&entry.label).copied()).collect();
+        let uses = |place: usize| places.values().filter(|used| **used == place).count();
+        let free = (0..COLOURS).filter(|place| !taken.contains(place));
+        // With all colours taken, the dashed ones follow: of one more than are taken, one is free.
+        let place = free
+            .min_by_key(|&place| uses(place))
+            .or_else(|| (0..=taken.len()).find(|place| !taken.contains(place)));
+        let place = place.unwrap_or(taken.len());
+        places.insert(label, place);
+    }
     for entry in groups.iter_mut().flat_map(|group| &mut group.entries) {
-        entry.place = known.iter().position(|(_, _, label)| *label == entry.label).unwrap_or(0);
+        entry.place = places.get(&entry.label).copied().unwrap_or(0);
     }
 }
 
@@ -158,16 +184,21 @@ impl Group<'_> {
             return Vec::new();
         }
         let delay = |entry: &Entry<'_>| entry.report.get(Metric::TripDelay).mean;
+        let spread = |entry: &Entry<'_>| entry.report.get(Metric::TripDelay).std_between_seeds;
         let rules = self.entries.iter().filter(|entry| !entry.learned);
         let Some(best) = rules.min_by(|a, b| delay(a).total_cmp(&delay(b))) else { return Vec::new() };
         let verdict = |entry: &Entry<'_>| {
             let (own, other) = (delay(entry), delay(best));
             let change = 100.0 * (own - other) / other;
             let direction = if change < 0.0 { "below" } else { "above" };
+            let chance = (own - other).abs() <= spread(entry).max(spread(best));
+            let chance = if chance { ", within the spread of the seeds" } else { "" };
             change.is_finite().then(|| {
                 format!(
-                    "{}: mean trip delay {own:.1} s, {:.0} % {direction} the best rule here ({}, {other:.1} s)",
-                    entry.label, change.abs(), best.label
+                    "{}: mean trip delay {own:.1} s, {:.0} % {direction} the best rule here ({}, {other:.1} s){chance}",
+                    entry.label,
+                    change.abs(),
+                    best.label
                 )
             })
         };
@@ -201,6 +232,26 @@ mod tests {
     }
 
     #[test]
+    fn no_two_policies_of_a_scenario_share_a_colour() {
+        let policies = |scenario: &'static str, names: std::ops::Range<u32>| {
+            names.map(move |name| samples::report(scenario, &format!("p{name:02}"), &[1]))
+        };
+        let all = evaluations(policies("a", 0..6).chain(policies("b", 4..12)).collect());
+        let groups = groups(&all);
+        for group in &groups {
+            let places: BTreeSet<usize> = group.entries.iter().map(|entry| entry.place).collect();
+            assert_eq!(places.len(), group.entries.len(), "{places:?}");
+            assert!(places.iter().all(|&place| place < COLOURS), "there are colours enough: {places:?}");
+        }
+        // With no more labels than colours each has one of its own.
+        let few = evaluations(policies("a", 0..4).chain(policies("b", 4..8)).collect());
+        let groups = super::groups(&few);
+        let places: BTreeSet<_> =
+            groups.iter().flat_map(|group| &group.entries).map(|entry| entry.place).collect();
+        assert_eq!(places.len(), 8);
+    }
+
+    #[test]
     fn equal_names_are_told_apart() {
         let mut all =
             evaluations(vec![samples::report("a", "cross", &[1]), samples::report("a", "cross", &[2])]);
@@ -221,7 +272,9 @@ mod tests {
         assert_eq!(groups[0].entries.iter().filter(|entry| entry.strongest).count(), 1);
         assert_eq!(
             groups[0].verdicts(),
-            ["cross: mean trip delay 4.0 s, 0 % above the best rule here (max-pressure-stopped, 4.0 s)"]
+            [
+                "cross: mean trip delay 4.0 s, 0 % above the best rule here (max-pressure-stopped, 4.0 s), within the spread of the seeds"
+            ]
         );
         // Without the same seeds there is no choice to make and nothing to say.
         let other = evaluations(vec![

@@ -2,7 +2,6 @@
 
 use super::figure::{Figure, points};
 use super::number::{self, pixel};
-use super::scale::Scale;
 use cross_sim::evaluate::{Details, NetworkDrawing};
 use maud::{Markup, html};
 use std::collections::HashMap;
@@ -53,28 +52,32 @@ impl Queues {
     }
 }
 
-/// The shades that all maps of a scenario share.
+/// The shades that all maps of a scenario share. Their bounds grow with the square: queues differ by more than shades could
+/// tell if all were equally wide, and the short ones are most.
 pub(super) struct Shades {
-    step: f64,
-    scale: Scale,
+    most: f64,
 }
 
 impl Shades {
     pub(super) fn over<'q>(queues: impl IntoIterator<Item = &'q Queues>) -> Self {
         let most = queues.into_iter().flat_map(Queues::values).fold(0.0, f64::max);
         // A map without any queue is one shade, whatever the scale.
-        let most = if most > 0.0 && most.is_finite() { most } else { 1.0 };
-        let step = most / SHADES as f64;
-        Self { step, scale: Scale::around([0.0, step], (0.0, 1.0), 2) }
+        Self { most: if most > 0.0 && most.is_finite() { most } else { 1.0 } }
+    }
+
+    /// Where a shade begins.
+    fn bound(&self, shade: usize) -> f64 {
+        self.most * (shade as f64 / SHADES as f64).powi(2)
     }
 
     fn class(&self, value: f64) -> String {
-        format!("h{}", ((value / self.step) as usize).min(SHADES - 1))
+        let shade = (1..SHADES).rev().find(|&shade| value >= self.bound(shade)).unwrap_or(0);
+        format!("h{shade}")
     }
 
     /// What each shade means.
     pub(super) fn legend(&self) -> Markup {
-        let bound = |shade: usize| self.scale.label(self.step * shade as f64);
+        let bound = |shade: usize| number::brief(self.bound(shade));
         html! {
             p .shades {
                 span .note { "stopped vehicles per lane, mean over the episode" }
@@ -244,7 +247,7 @@ mod tests {
         assert_eq!(text.matches("<circle").count(), 2);
         assert_eq!(text.matches("<polyline").count(), 2);
         assert!(
-            text.contains("class=\"h0\"") && text.contains("class=\"h6\"") && text.contains("class=\"h3\""),
+            text.contains("class=\"h0\"") && text.contains("class=\"h6\"") && text.contains("class=\"h4\""),
             "{text}"
         );
         assert!(text.contains("A&lt;0: 0 stopped") && text.contains("longest queue: B0, 7.00"), "{text}");

@@ -31,7 +31,7 @@ const FOOT: f64 = 36.0;
 /// Bins that an axis is cut into, about.
 const BINS: f64 = 70.0;
 /// Share of the vehicles that the axis shows; the few beyond it are counted in its last bin.
-const SHOWN: f64 = 0.995;
+const SHOWN: f64 = 0.99;
 
 impl Histogram<'_> {
     pub(super) fn draw(&self) -> Markup {

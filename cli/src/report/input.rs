@@ -38,9 +38,9 @@ pub(super) fn read(paths: &[PathBuf]) -> Outcome<Inputs> {
     for path in paths {
         let found = (inputs.runs.len(), inputs.evaluations.len());
         if path.is_dir() {
-            inputs.folder(path, 0)?;
+            inputs.folder(path, path, 0)?;
         } else {
-            inputs.file(path)?;
+            inputs.file(path, path)?;
         }
         if found == (inputs.runs.len(), inputs.evaluations.len()) {
             return Err(Failure::input(format!(
@@ -54,17 +54,17 @@ pub(super) fn read(paths: &[PathBuf]) -> Outcome<Inputs> {
 }
 
 impl Inputs {
-    fn folder(&mut self, path: &Path, depth: usize) -> Outcome<()> {
+    fn folder(&mut self, given: &Path, path: &Path, depth: usize) -> Outcome<()> {
         if run::is_run(path) {
             return self.run(path);
         }
         for entry in sorted(path)? {
             if entry.is_dir() {
                 if depth < MAX_DEPTH {
-                    self.folder(&entry, depth + 1)?;
+                    self.folder(given, &entry, depth + 1)?;
                 }
             } else if entry.extension().is_some_and(|extension| extension == "json") {
-                self.file(&entry)?;
+                self.file(given, &entry)?;
             }
         }
         Ok(())
@@ -93,9 +93,10 @@ impl Inputs {
         Ok(())
     }
 
-    fn file(&mut self, path: &Path) -> Outcome<()> {
+    /// A file that was given, or lies in a folder that was; its origin is its path from there on.
+    fn file(&mut self, given: &Path, path: &Path) -> Outcome<()> {
         let reports = reports(path)?;
-        let origin = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let origin = origin(given, &path.with_extension(""));
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
         self.add(reports, &origin, &folder);
         Ok(())
@@ -140,11 +141,14 @@ impl Inputs {
             let fits = |other: &&mut Evaluation| other.continues(&evaluation);
             match self.evaluations.iter_mut().find(fits) {
                 Some(other) => {
+                    // A file's name says a seed; the folder's says what they have in common.
+                    if let (1, Some((folder, _))) = (other.report.seeds.len(), other.origin.rsplit_once('/'))
+                    {
+                        other.origin = folder.to_owned();
+                    }
                     if let Some(joined) = EvalReport::join([other.report.clone(), evaluation.report.clone()])
                     {
                         other.report = joined;
-                        // A file's name says a seed; the folder's says what they have in common.
-                        other.origin = name(&other.folder);
                     }
                 }
                 None => self.evaluations.push(evaluation),
@@ -190,6 +194,15 @@ fn sorted(folder: &Path) -> Outcome<Vec<PathBuf>> {
         entries.with_context(|| format!("cannot read the folder {}", folder.display()))?;
     entries.sort();
     Ok(entries)
+}
+
+/// The path of a file as people find it: from the folder that was given on, its name included.
+fn origin(given: &Path, file: &Path) -> String {
+    let inside = file.strip_prefix(given).ok().filter(|inside| !inside.as_os_str().is_empty());
+    match inside {
+        Some(inside) => format!("{}/{}", name(given), inside.display()),
+        None => name(file),
+    }
 }
 
 /// The last part of a path, which is what people call it.
@@ -287,7 +300,12 @@ mod tests {
         write(&folder.path().join("elsewhere/seed-4.json"), &samples::report("grid4x4", "a", &[4]).to_json());
         let inputs = read(&[folder.path().to_owned()]).unwrap();
         assert_eq!(labels(&inputs), [("a".to_owned(), vec![4]), ("a".to_owned(), vec![1, 2, 3])]);
-        assert_eq!(inputs.evaluations[1].origin, "store");
+        assert!(
+            inputs.evaluations[0].origin.ends_with("/elsewhere/seed-4"),
+            "{:?}",
+            inputs.evaluations[0].origin
+        );
+        assert!(inputs.evaluations[1].origin.ends_with("/store"), "{:?}", inputs.evaluations[1].origin);
     }
 
     #[test]

@@ -56,7 +56,7 @@ impl LineChart<'_> {
             Scale::exact(xs.chain(episode), (LEFT, width - RIGHT), if width > 400.0 { 8 } else { 5 });
         let (across, axis) = match self.over {
             Over::Time => (across.in_minutes(), "time, min"),
-            Over::Updates => (across.at_least(1.0), "update"),
+            Over::Updates => (across.whole(), "update"),
         };
         let of_points = self.curves.iter().flat_map(|curve| curve.points.iter().map(|point| point.1));
         let of_bands =

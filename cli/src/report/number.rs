@@ -48,6 +48,18 @@ pub(super) fn short(value: f64) -> String {
     fixed(value, digits)
 }
 
+/// With about two digits that matter: what a legend has room for.
+pub(super) fn brief(value: f64) -> String {
+    let size = value.abs();
+    let digits = match size {
+        _ if size == 0.0 || size >= 10.0 => 0,
+        _ if size >= 1.0 => 1,
+        _ if size >= 0.1 => 2,
+        _ => 3,
+    };
+    fixed(value, digits)
+}
+
 /// A length of time for people.
 pub(super) fn duration(seconds: f64) -> String {
     if !seconds.is_finite() || seconds < 0.0 {
@@ -106,6 +118,7 @@ mod tests {
         let shown = [0.0, 0.0421, 1.234, 45.67, 678.9, -0.000_012].map(short);
         assert_eq!(shown, ["0", "0.042", "1.23", "45.7", "679", "−1.2e−5"]);
         assert_eq!(short(f64::INFINITY), NONE);
+        assert_eq!([0.0, 0.0047, 0.139, 1.25, 31.4].map(brief), ["0", "0.005", "0.14", "1.2", "31"]);
     }
 
     #[test]

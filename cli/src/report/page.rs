@@ -4,7 +4,7 @@ use super::group::Group;
 use super::input::Inputs;
 use super::number::counted;
 use super::results::{self, anchor};
-use super::{group, run_section, scenario_section};
+use super::{group, protocol, run_section, scenario_section};
 use cross_sim::metrics::{Metric, definitions};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::path::PathBuf;
@@ -97,12 +97,19 @@ fn contents(inputs: &Inputs, groups: &[Group<'_>]) -> Markup {
 }
 
 fn overview(groups: &[Group<'_>]) -> Markup {
+    let grave = |group: &&Group<'_>| protocol::cautions(group).iter().any(|caution| caution.grave);
+    let warned: Vec<&str> = groups.iter().filter(grave).map(|group| group.scenario).collect();
     html! {
         section id="overview" {
             h2 { "Overview" }
-            @if groups.iter().any(|group| !group.comparable()) {
+            @if !warned.is_empty() {
                 p .caution.grave role="note" {
-                    strong { "Warning: " } "results of different protocols or seeds stand in one column; the section of the scenario tells which."
+                    strong { "Warning: " } "not everything in these columns compares: read the warnings of "
+                    @for (number, scenario) in warned.iter().enumerate() {
+                        @if number > 0 { ", " }
+                        a href=(format!("#{}", anchor(scenario))) { (scenario) }
+                    }
+                    "."
                 }
             }
             @for verdict in groups.iter().flat_map(|group| group.verdicts().into_iter().map(move |verdict| (group.scenario, verdict))) {

@@ -2,6 +2,7 @@
 
 use super::group::Group;
 use super::number;
+use crate::paper;
 use cross_sim::evaluate::EvalReport;
 use maud::{Markup, html};
 use serde_json::{Map, Value};
@@ -35,6 +36,15 @@ pub(super) struct Caution {
     pub(super) text: String,
 }
 
+/// Seconds between decisions, of yellow, and of an episode that fit the published figures: see `docs/baselines.md`.
+const PUBLISHED: (u32, u32, u32) = (10, 3, 3600);
+
+/// Whether an evaluation was made under the rules that the published figures fit.
+pub(super) fn as_published(report: &EvalReport) -> bool {
+    let own = &report.protocol;
+    (own.interval_seconds, own.yellow_seconds, own.episode_seconds) == PUBLISHED
+}
+
 /// Everything that stands against a comparison.
 pub(super) fn cautions(group: &Group<'_>) -> Vec<Caution> {
     let mut cautions = Vec::new();
@@ -50,6 +60,14 @@ pub(super) fn cautions(group: &Group<'_>) -> Vec<Caution> {
     } else if !seen.is_empty() {
         let text = format!("The protocols differ in {}, which only learned policies see.", listed(&seen));
         cautions.push(Caution { grave: false, text });
+    }
+    let in_paper = paper::results().iter().any(|result| result.scenario == group.scenario);
+    if in_paper && group.entries.iter().any(|entry| !as_published(entry.report)) {
+        let (interval, yellow, episode) = PUBLISHED;
+        let text = format!(
+            "The published figures are of a decision every {interval} s with {yellow} s of yellow over {episode} s; those here that were made otherwise do not compare with them."
+        );
+        cautions.push(Caution { grave: true, text });
     }
     let seeds = group.entries.iter().map(|entry| &entry.report.seeds);
     if seeds.clone().any(|other| Some(other) != seeds.clone().next()) {
@@ -211,6 +229,15 @@ mod tests {
         assert!(told.iter().all(|(grave, _)| *grave));
         assert!(told[0].1.contains("yellow, s") && told[1].1.contains("same SUMO seeds"), "{told:?}");
         assert!(told[2].1.contains("Gridlock under c (seed 2)"), "{told:?}");
+    }
+
+    #[test]
+    fn published_figures_are_held_against_their_own_protocol_alone() {
+        let short = samples::with_protocol("grid4x4", "fixed-time", "episode_seconds", json!(900));
+        let told = cautions_of(vec![short]);
+        assert!(told[0].0 && told[0].1.contains("over 3600 s"), "{told:?}");
+        let elsewhere = samples::with_protocol("elsewhere", "fixed-time", "episode_seconds", json!(900));
+        assert!(cautions_of(vec![elsewhere]).iter().all(|(grave, _)| !grave));
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use super::group::{Entry, Group};
 use super::number;
 use super::protocol;
-use crate::paper::{self, PaperResult};
+use crate::paper;
 use cross_sim::metrics::{Better, Metric};
 use maud::{Markup, html};
 
@@ -28,15 +28,6 @@ fn published_methods(scenario: &str) -> Vec<&'static str> {
         }
     }
     methods
-}
-
-/// The published figure that stands beside an entry's.
-pub(super) fn published(
-    group: &Group<'_>,
-    entry: &Entry<'_>,
-    metric: Metric,
-) -> Option<&'static PaperResult> {
-    paper::lookup(group.scenario, entry.published_method()?, metric.key())
 }
 
 /// The name of a metric's column.
@@ -68,7 +59,7 @@ pub(super) fn main_table(group: &Group<'_>) -> Markup {
                     tr {
                         th scope="col" { "policy" }
                         @for metric in Metric::PAPER { th scope="col" .figure { (title(metric)) } }
-                        th scope="col" .figure { "vehicles " span .unit { "finished / unfinished / never in" } }
+                        th scope="col" .figure { "vehicles " span .unit.loose { "finished / unfinished / never in" } }
                         @if several { th scope="col" { "protocol" } }
                     }
                 }
@@ -86,7 +77,7 @@ pub(super) fn main_table(group: &Group<'_>) -> Markup {
                 @if !methods.is_empty() {
                     tbody .published-rows {
                         tr .part {
-                            th scope="rowgroup" colspan=(columns) { "published in the CROSS paper; below, how far the row of the same policy here lies from it" }
+                            th scope="rowgroup" colspan=(columns) { "published in the CROSS paper" @if group.entries.iter().any(|entry| Metric::PAPER.iter().any(|&metric| entry.published(metric).is_some())) { "; below, how far the row of the same policy here lies from it" } }
                         }
                         @for method in methods { (published_row(group, method, several)) }
                     }
@@ -137,7 +128,10 @@ fn vehicles(entry: &Entry<'_>) -> String {
 
 fn published_row(group: &Group<'_>, method: &str, several: bool) -> Markup {
     // The difference is told where one row alone can be meant.
-    let mut same = group.entries.iter().filter(|entry| entry.published_method() == Some(method));
+    let mut same = group
+        .entries
+        .iter()
+        .filter(|entry| entry.published_method() == method && protocol::as_published(entry.report));
     let ours = match (same.next(), same.next()) {
         (Some(only), None) => Some(only),
         _ => None,

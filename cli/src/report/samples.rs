@@ -26,7 +26,7 @@ fn document(scenario: &str, policy: &str, seeds: &[u32], factor: f64) -> Value {
     json!({
         "format": 1, "scenario": scenario, "policy": policy, "controller": policy, "seeds": seeds,
         "protocol": {
-            "preset": "paper", "interval_seconds": 10, "yellow_seconds": 3, "begin_seconds": 0, "episode_seconds": 60,
+            "preset": "paper", "interval_seconds": 10, "yellow_seconds": 3, "begin_seconds": 0, "episode_seconds": 3600,
             "detection": "default", "reward_range_metres": 50.0, "time_to_teleport_seconds": -1.0, "depart_speed": "0",
             "depart_lane": "first", "sumo_version": "1.28.0", "net_hash": "aaaaaaaaaaaaaaaa", "demand_hash": "bbbb",
             "layout_hash": "cccc",

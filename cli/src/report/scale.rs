@@ -49,9 +49,9 @@ impl Scale {
         Self { low, high, step: round_step(rough), rough, start: pixels.0, end: pixels.1 }
     }
 
-    /// With ticks at least this far apart: 1 where there is nothing between whole numbers.
-    pub(super) fn at_least(mut self, step: f64) -> Self {
-        self.step = self.step.max(step);
+    /// With ticks at whole numbers alone: there is nothing between two updates.
+    pub(super) fn whole(mut self) -> Self {
+        self.step = if self.step.fract() == 0.0 { self.step } else { (2.0 * self.step).ceil() };
         self
     }
 
@@ -133,7 +133,8 @@ mod tests {
         );
         assert_eq!(labels(&Scale::around([0.1, 0.3], (0.0, 1.0), 2)), ["0.1", "0.2", "0.3"]);
         assert_eq!(labels(&Scale::exact([1.0, 60.0], (0.0, 1.0), 4)), ["20", "40", "60"]);
-        assert_eq!(labels(&Scale::exact([1.0, 3.0], (0.0, 1.0), 6).at_least(1.0)), ["1", "2", "3"]);
+        assert_eq!(labels(&Scale::exact([1.0, 12.0], (0.0, 1.0), 5).whole()), ["5", "10"]);
+        assert_eq!(labels(&Scale::exact([1.0, 3.0], (0.0, 1.0), 6).whole()), ["1", "2", "3"]);
     }
 
     #[test]

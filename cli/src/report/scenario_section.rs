@@ -57,7 +57,7 @@ fn dots(group: &Group<'_>) -> Markup {
     let cell = |entry: &Entry<'_>, metric: Metric| Cell {
         mean: entry.report.get(metric).mean,
         seeds: entry.report.per_seed.iter().map(|episode| episode.get(metric).mean).collect(),
-        published: results::published(group, entry, metric).map(|published| published.mean),
+        published: entry.published(metric).map(|published| published.mean),
     };
     let column = |metric: Metric| Column {
         title: metric.name().to_owned(),
