@@ -22,6 +22,7 @@ use std::process::ExitCode;
 Examples:
   cross report runs/20260131-235959                        a run: its curves and its closing comparison
   cross report runs/* --out runs.html                      several runs over each other
+  mkdir results
   cross eval --scenario grid4x4 --policy max-pressure --out results/max-pressure.json
   cross eval --scenario grid4x4 --policy fixed-time --out results/fixed-time.json
   cross report results --out grid4x4.html                  all evaluations of a folder
