@@ -91,16 +91,13 @@ impl Preset {
         Self::ALL.into_iter().map(Self::name).collect()
     }
 
-    /// What it sets, in a line.
+    /// What it sets, in a line: decision interval / yellow, and the time after which vehicles teleport.
     #[must_use]
     pub fn summary(self) -> &'static str {
         match self {
-            Self::Paper => "decision every 10 s with 3 s of yellow, teleports as the scenario says",
-            Self::Resco => "10 s with 3 s of yellow, 5 s with 2 s on arterial4x4 and grid5x5; no teleports",
-            Self::Unicorn => {
-                "RESCO's maps 15 s with 5 s and no teleports, MA2C's 10 s with 3 s and teleports after 300 s, \
-                 CityFlow's 15 s with 5 s and teleports after 600 s"
-            }
+            Self::Paper => "10/3 s, as the scenario says",
+            Self::Resco => "10/3 s, never; arterial4x4 and grid5x5 5/2 s, never",
+            Self::Unicorn => "RESCO's maps 15/5 s, never; MA2C's 10/3 s, 300 s; CityFlow's 15/5 s, 600 s",
         }
     }
 

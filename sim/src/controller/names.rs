@@ -81,19 +81,17 @@ impl RuleBased {
     pub fn summary(self) -> &'static str {
         match self {
             Self::FixedTime => "the next phase at every decision",
-            Self::MaxPressure => "Max-Pressure in the variant that reproduces the scenario's published rows",
-            Self::MaxPressureStopped => {
-                "Max-Pressure: stopped vehicles in less stopped vehicles out, whole lane"
+            Self::MaxPressure => "Max-Pressure in the variant that the scenario's published rows have",
+            Self::MaxPressureStopped => "Max-Pressure: stopped vehicles in less stopped ones out, whole lane",
+            Self::MaxPressureAll => "Max-Pressure: stopped vehicles in less all out, whole lane",
+            Self::MaxPressureStopped50m => {
+                "Max-Pressure: stopped vehicles in less stopped ones out, last 50 m"
             }
-            Self::MaxPressureAll => "Max-Pressure: stopped vehicles in less all vehicles out, whole lane",
-            Self::MaxPressureStopped50m => "Max-Pressure: stopped less stopped, last 50 m of each lane",
             Self::Greedy => "the phase with the most stopped vehicles",
             Self::Random => "any phase with equal probability",
             Self::OwnProgram => "the net's own signal program, run by SUMO",
-            Self::Actuated => {
-                "SUMO's actuated program: green goes on while vehicles follow each other closely"
-            }
-            Self::DelayBased => "SUMO's delay_based program: green goes on while delayed vehicles approach",
+            Self::Actuated => "SUMO's actuated: green goes on while vehicles follow each other closely",
+            Self::DelayBased => "SUMO's delay_based: green goes on while delayed vehicles approach",
         }
     }
 

@@ -13,16 +13,16 @@ Examples:
   cross eval --scenario grid4x4 --policy fixed-time
   cross eval --scenario cologne8 --policy actuated --seeds 5
   cross eval --scenario arterial4x4 --policy max-pressure --protocol resco
-  cross eval --scenario arterial4x4 --policy runs/20260131-235959             a run's newest checkpoint
+  cross eval --scenario arterial4x4 --policy runs/20260131-235959      a run's newest checkpoint
   cross eval --scenario grid4x4 --policy runs/paper-3/checkpoints/000100 --json
-  cross eval --scenario grid4x4 --policy policy.safetensors                   what `cross checkpoint export` wrote
+  cross eval --scenario grid4x4 --policy policy.safetensors            from `cross checkpoint export`
   cross eval --scenario grid4x4 --policy greedy --csv greedy.csv --out greedy.json";
 
 /// Below the options of `-h`.
 pub(super) fn short() -> String {
     format!(
-        "{EXAMPLES}\n\nPolicies by name: {}\nProtocols: {}\n`cross eval --help` says what each is, and defines every metric.",
-        RuleBased::names().join(", "),
+        "{EXAMPLES}\n\nPolicies by name:\n  {}\nProtocols: {}\n`cross eval --help` says what each is, and defines every metric.",
+        RuleBased::names().chunks(6).map(|names| names.join(", ")).collect::<Vec<_>>().join(",\n  "),
         Preset::names().join(", ")
     )
 }
@@ -35,13 +35,14 @@ pub(super) fn long() -> String {
     for policy in RuleBased::ALL {
         let _ = write!(text, "\n  {:<24}  {}", policy.name(), policy.summary());
     }
-    text.push_str("\n\nProtocols:");
+    text.push_str("\n\nProtocols (decision interval/yellow, teleports after):");
     for preset in Preset::ALL {
         let _ = write!(text, "\n  {:<7}  {}", preset.name(), preset.summary());
     }
     text.push_str(
-        "\n\nMetrics, by their keys in JSON and CSV. T: the seconds of an episode; entered: finished and unfinished vehicles.\n\
-         A figure is the mean over the seeds; after ± stands the mean over the seeds of the deviation inside an episode.",
+        "\n\nMetrics, by their keys in JSON and CSV. T: the seconds of an episode; entered vehicles: finished\n\
+         and unfinished ones. A figure is the mean over the seeds; after ± stands the mean over the seeds of\n\
+         the deviation inside an episode.",
     );
     for definition in definitions() {
         let _ = write!(
@@ -52,9 +53,9 @@ pub(super) fn long() -> String {
     }
     let _ = write!(
         text,
-        "\n\nColumns of --csv: {}.\nA row is one metric of one seed, or of all (seed = {ALL_SEEDS}: means over the seeds, with the \
+        "\n\nColumns of --csv:\n  {}\nA row is one metric of one seed, or of all seeds (seed = {ALL_SEEDS}: means over the seeds, with the\n\
          deviation between them); blank where there is no such figure.",
-        COLUMNS.join(", ")
+        COLUMNS.join(" ")
     );
     text
 }
@@ -62,6 +63,13 @@ pub(super) fn long() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_line_is_broken_where_the_terminal_is_unknown() {
+        for line in long().lines().chain(short().lines()) {
+            assert!(line.chars().count() <= 100, "{line}");
+        }
+    }
 
     #[test]
     fn the_long_help_names_every_policy_protocol_metric_and_column() {
