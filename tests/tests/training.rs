@@ -38,6 +38,13 @@ fn a_run_ends_with_its_updates_its_results_and_nothing_left() {
         .map(|report| report["policy"].as_str().unwrap())
         .collect();
     assert!(policies.contains(&"fixed-time"), "{policies:?}");
+    // Each again in a file of its own, with what pages draw and the result is too short for.
+    for (policy, report) in policies.iter().zip(result["evaluation"].as_array().unwrap()) {
+        let file = run.path().join(format!("evaluation/grid4x4-{policy}.json"));
+        let mut detailed: serde_json::Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+        let details = detailed.as_object_mut().unwrap().remove("details");
+        assert!(details.is_some() && detailed == *report, "{policy}");
+    }
     assert!(policies.iter().filter(|policy| policy.starts_with("max-pressure")).count() >= 2, "{policies:?}");
     assert!(
         result["strongest_max_pressure"]["grid4x4"].as_str().is_some_and(|name| policies.contains(&name)),
