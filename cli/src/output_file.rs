@@ -37,7 +37,7 @@ impl OutputFile {
         if regular && let Err(error) = temporary(&path) {
             let folder = folder(&path);
             return match folder.is_dir() {
-                true => refuse(format!("{error}; name a file in another folder")),
+                true => refuse(format!("{} in its folder; name a file in another one", error.kind())),
                 false => refuse(format!("the folder {} does not exist; make it first", folder.display())),
             };
         }
@@ -126,7 +126,7 @@ mod tests {
             (place.path().join("no/such/result.csv"), "does not exist"),
             (place.path().join("file/result.csv"), "does not exist"),
             (PathBuf::from("/"), "folder"),
-            (PathBuf::from("/proc/result.csv"), "another folder"),
+            (PathBuf::from("/proc/result.csv"), "another one"),
             (PathBuf::new(), "folder"),
         ] {
             let failure = OutputFile::prepare(&path).unwrap_err();

@@ -12,9 +12,14 @@ use std::path::Path;
 
 /// `cross eval` in episodes of 300 s with further arguments.
 fn eval(run: &Run, arguments: &[&str]) -> Finished {
-    run.write_config("[env]\nepisode_seconds = 300\n");
+    run.write_config(&seconds(300));
     let config = run.config().display().to_string();
     run.call(&[&["eval", "--seeds", "2", "--config", &config], arguments].concat())
+}
+
+/// A configuration of small episodes.
+fn seconds(seconds: u32) -> String {
+    SMALL.replace("episode_seconds = 200", &format!("episode_seconds = {seconds}"))
 }
 
 fn json(run: &Run, arguments: &[&str]) -> Value {
@@ -54,7 +59,7 @@ fn a_preset_sets_what_it_says_and_is_named_beside_the_result() {
     assert_eq!(of("grid5x5", &["--protocol", "unicorn"]).0, "\"unicorn\" 10 3 300.0");
     // A configuration of one's own is no preset.
     let config = run.config().with_file_name("own.toml");
-    std::fs::write(&config, "[env]\nepisode_seconds = 300\ndecision_seconds = 20\n").unwrap();
+    std::fs::write(&config, seconds(300).replace("[env]", "[env]\ndecision_seconds = 20")).unwrap();
     let config = config.display().to_string();
     let arguments =
         ["eval", "--scenario", "cologne1", "--policy", "random", "--seeds", "1", "--config", &config];
@@ -180,7 +185,7 @@ fn what_cannot_work_is_refused_before_the_first_episode() {
     ]);
 
     // 310 s are no whole number of intervals of 15 s, and an unknown town is like no benchmark.
-    run.write_config("[env]\nepisode_seconds = 310\n");
+    run.write_config(&seconds(310));
     let config = run.config().display().to_string();
     let arguments = [&["eval", "--config", &config, "--protocol", "unicorn"], &base[..]].concat();
     run.call(&arguments).assert_refused(&["unicorn", "310", "15"]);

@@ -13,16 +13,16 @@ Examples:
   cross eval --scenario grid4x4 --policy fixed-time
   cross eval --scenario cologne8 --policy actuated --seeds 5
   cross eval --scenario arterial4x4 --policy max-pressure --protocol resco
-  cross eval --scenario arterial4x4 --policy runs/20260131-235959      a run's newest checkpoint
+  cross eval --scenario arterial4x4 --policy runs/20260131-235959    a run's newest checkpoint
   cross eval --scenario grid4x4 --policy runs/paper-3/checkpoints/000100 --json
-  cross eval --scenario grid4x4 --policy policy.safetensors            from `cross checkpoint export`
+  cross eval --scenario grid4x4 --policy policy.safetensors          from `cross checkpoint export`
   cross eval --scenario grid4x4 --policy greedy --csv greedy.csv --out greedy.json";
 
 /// Below the options of `-h`.
 pub(super) fn short() -> String {
     format!(
         "{EXAMPLES}\n\nPolicies by name:\n  {}\nProtocols: {}\n`cross eval --help` says what each is, and defines every metric.",
-        RuleBased::names().chunks(6).map(|names| names.join(", ")).collect::<Vec<_>>().join(",\n  "),
+        RuleBased::names().chunks(5).map(|names| names.join(", ")).collect::<Vec<_>>().join(",\n  "),
         Preset::names().join(", ")
     )
 }
@@ -67,7 +67,7 @@ mod tests {
     #[test]
     fn no_line_is_broken_where_the_terminal_is_unknown() {
         for line in long().lines().chain(short().lines()) {
-            assert!(line.chars().count() <= 100, "{line}");
+            assert!(line.chars().count() < 99, "{line}");
         }
     }
 
