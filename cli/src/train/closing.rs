@@ -103,12 +103,7 @@ impl Summary {
             .scenarios
             .iter()
             .flat_map(|scenario| {
-                policies.iter().map(move |policy| Task {
-                    scenario,
-                    env: &config.env,
-                    policy,
-                    details: true,
-                })
+                policies.iter().map(move |policy| Task { scenario, env: &config.env, policy, details: true })
             })
             .collect();
         let progress = EpisodeProgress::new(visible, tasks.len() * count as usize);
