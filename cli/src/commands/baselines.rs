@@ -37,7 +37,7 @@ pub(crate) struct Baselines {
     /// Rule; repeat it for several [default: all but random]
     #[arg(long = "policy", value_name = "RULE")]
     policies: Vec<RuleBased>,
-    /// SUMO seeds 1 to N [default: 3, on grid5x5 10]
+    /// SUMO seeds 1 to N [default: 3, on grid5x5 10; of unpublished rules on large scenarios 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     seeds: Option<u32>,
     /// Folder of the finished episodes
