@@ -172,15 +172,11 @@ fn impossible_grids_are_refused_by_option_and_leave_nothing() {
         (&["--name", "town", "--street-lanes", "9"], &["streets.lanes is 9"]),
         (&["--name", "town", "--spacing", "nan"], &["spacing is NaN"]),
         (&["--name", "town", "--vehicles-per-hour", "0"], &["vehicles_per_hour is 0"]),
-        (&["--name", "town", "--demand", "two-wave"], &["5 columns"]),
+        (&["--name", "town", "--columns", "4", "--demand", "two-wave"], &["5 columns"]),
         (&["--name", "../town"], &["--name", "../town"]),
         (&["--name", ""], &["--name"]),
     ] {
-        // What an option says last counts, as clap would refuse it twice.
-        let mut arguments = vec!["generate", "grid", "--out"];
-        let place = text(&out);
-        arguments.push(&place);
-        arguments.extend(options);
+        let arguments = [&["generate", "grid", "--out", &text(&out)], options].concat();
         scenario(&run, &arguments).assert_refused(parts);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{options:?}");
     }
