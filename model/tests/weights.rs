@@ -81,7 +81,7 @@ fn table(gfe: Gfe) -> String {
 /// The page with what stands between `<!-- NAME -->` and `<!-- end -->` replaced.
 fn with_block(page: &str, name: &str, content: &str) -> String {
     let start = format!("<!-- {name} -->\n");
-    let (before, rest) = page.split_once(&start).unwrap_or_else(|| panic!("{start} is not in the page"));
+    let (before, rest) = page.split_once(&start).unwrap();
     let (_, after) = rest.split_once("<!-- end -->").unwrap();
     format!("{before}{start}{content}<!-- end -->{after}")
 }
