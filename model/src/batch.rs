@@ -76,6 +76,8 @@ pub struct Lanes {
     pub features: Tensor,
     /// `[samples, most lanes]`: 0 where real, minus infinity where padded.
     pub mask: Tensor,
+    /// Whether any is padded.
+    pub padded: bool,
 }
 
 /// A packed batch.
@@ -162,6 +164,7 @@ impl Batch {
                     .map(|lanes| Lanes {
                         features: lanes.features.to_device(device),
                         mask: lanes.mask.to_device(device),
+                        padded: lanes.padded,
                     })
                     .collect(),
             }),
@@ -182,6 +185,31 @@ impl Batch {
     #[must_use]
     pub fn samples(&self) -> i64 {
         self.sequences * self.steps
+    }
+
+    /// Sample of each row `[rows]`.
+    pub(crate) fn sample_of_row(&self) -> &Tensor {
+        &self.sample_of_row
+    }
+
+    /// Sequences of each group.
+    pub(crate) fn group_sequences(&self) -> Vec<i64> {
+        self.groups.iter().map(|group| group.samples / self.steps).collect()
+    }
+
+    /// Samples of each group.
+    pub(crate) fn group_samples(&self) -> Vec<i64> {
+        self.groups.iter().map(|group| group.samples).collect()
+    }
+
+    /// Rows of each group.
+    pub(crate) fn group_rows(&self) -> Vec<i64> {
+        self.groups.iter().map(|group| group.samples * group.phases).collect()
+    }
+
+    /// Phases of each group's sequences, every phase once and not at every step.
+    pub(crate) fn group_static_phases(&self) -> Vec<i64> {
+        self.groups.iter().map(|group| group.samples / self.steps * group.phases).collect()
     }
 
     /// `[samples, w]` to `[rows, w]`.
@@ -290,6 +318,7 @@ fn movement_inputs(
                 }
             }
             Lanes {
+                padded: mask.iter().any(|&real| real != 0.0),
                 features: Tensor::from_slice(&features).view([group.samples, most as i64, sizes.lane]),
                 mask: Tensor::from_slice(&mask).view([group.samples, most as i64]),
             }

@@ -131,7 +131,7 @@ fn add_auxiliary(
         terms.push((name, term));
     };
     if let Some(pcc) = &forward.pcc {
-        if let Some(predicted) = net.predict(pcc, &targets.chosen_rows) {
+        if let Some(predicted) = net.predict(pcc, batch, &targets.chosen_rows) {
             add("prediction", ppo.prediction, prediction(&predicted, batch, targets));
         }
         let target =

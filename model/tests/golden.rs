@@ -134,7 +134,7 @@ fn forward_losses_gradients_and_adam_are_the_references() {
                 let total = loss.total.double_value(&[]);
                 report.scalar("total loss", &of, total, flat(&fixture.tensors[&key])[step]);
                 if step == 0 {
-                    compare_forward(&fixture, &learning, role, &forward, &mut report);
+                    compare_forward(&fixture, &learning, (role, net), &forward, &mut report);
                     compare_terms(&fixture, role, &loss, &mut report);
                     compare_gradients(&fixture, net, &mut report);
                 }
@@ -215,7 +215,7 @@ fn compare_targets(fixture: &Fixture, learning: &Learning, report: &mut Report) 
 fn compare_forward(
     fixture: &Fixture,
     learning: &Learning,
-    role: Role,
+    (role, net): (Role, &Net),
     forward: &Forward,
     report: &mut Report,
 ) {
@@ -223,13 +223,13 @@ fn compare_forward(
     let mut found: Vec<(&str, Tensor)> = vec![("scores", forward.scores.shallow_clone())];
     if role == Role::Actor {
         found.push(("log_policy", batch.log_softmax(&forward.scores)));
-        found.push(("h_sp", forward.h_sp.shallow_clone()));
-        found.push(("h_moe", forward.moe.h_moe.shallow_clone()));
+        found.push(("h_sp", net.h_sp(batch, forward)));
+        found.push(("h_moe", net.h_moe(batch, forward)));
         if let Some(pcc) = &forward.pcc {
-            found.push(("z", pcc.z.shallow_clone()));
+            found.push(("z", net.latent(pcc).unwrap()));
             found.push(("similarity", pcc.similarity.shallow_clone()));
             found.push(("w", pcc.weights.shallow_clone()));
-            found.push(("z_hat", pcc.z_hat.shallow_clone()));
+            found.push(("z_hat", net.pattern(pcc).unwrap()));
         }
         if let Some((alpha, indices)) = &forward.moe.gates {
             let none = Tensor::zeros([batch.rows, fixture.config.model.experts], tch::kind::FLOAT_CPU);

@@ -6,7 +6,9 @@
 //! and the junction's lanes as further tokens. Both join phases and tokens by multi-head cross-attention with the
 //! residual on the phase's side; over the paper's single token the softmax is 1, so queries and keys do not exist there.
 
-use super::layers::{Gru, LayerNorm, Linear, Mlp, Projection};
+use super::join;
+use super::lanes::LaneAttention;
+use super::layers::{Gru, Linear, Mlp};
 use crate::batch::{Batch, Inputs};
 use crate::features::FeatureSizes;
 use crate::params::Init;
@@ -15,11 +17,43 @@ use tch::{Kind, Tensor};
 
 /// What feature extraction hands on.
 #[derive(Debug)]
-pub struct GfeOutput {
-    /// Phase-aware representation `[rows, hidden]`.
-    pub h_sp: Tensor,
+pub(super) struct GfeOutput {
+    /// Phase-aware representation `h_sp`.
+    pub(super) h_sp: PhaseFeatures,
     /// Recurrent state after every step `[sequences, steps, hidden]`.
-    pub states: Tensor,
+    pub(super) states: Tensor,
+}
+
+/// `h_sp` of every packed row.
+///
+/// In the form `paper` it is the sum of what a phase is, the same at every step, and of what its sample's state is. A linear
+/// layer on it is then the sum of the layer on either, of which there are several times fewer than rows.
+#[derive(Debug)]
+pub(super) enum PhaseFeatures {
+    /// `[rows, hidden]`.
+    Rows(Tensor),
+    /// Of phases `[static phases, hidden]` and of samples `[samples, hidden]`, and the static phase of every row `[rows]`.
+    Sum(Tensor, Tensor, Tensor),
+}
+
+impl PhaseFeatures {
+    /// All rows `[rows, hidden]`.
+    pub(super) fn rows(&self, batch: &Batch) -> Tensor {
+        match self {
+            Self::Rows(rows) => rows.shallow_clone(),
+            Self::Sum(phases, samples, _) => add_per_phase(batch, phases, samples),
+        }
+    }
+
+    /// A linear layer on all rows.
+    pub(super) fn project(&self, batch: &Batch, layer: &Linear) -> Tensor {
+        match self {
+            Self::Rows(rows) => layer.forward(rows),
+            Self::Sum(phases, samples, _) => {
+                add_per_phase(batch, &layer.forward(phases), &layer.without_bias().forward(samples))
+            }
+        }
+    }
 }
 
 /// The recurrent path's intermediate results.
@@ -70,9 +104,13 @@ impl GfeNet {
             Inputs::Paper(paper) => (self.phase.forward(&paper.phase_states), paper.states.shallow_clone()),
             Inputs::Movement(movement) => {
                 let phases = self.phase.forward(&movement.phases);
-                let pooled = batch.map_groups(&phases, |rows| {
-                    Tensor::cat(&[rows.mean_dim(1, false, Kind::Float), rows.amax(1, false)], 1)
+                // Split and not narrowed: going backward, every narrowing fills a tensor as large as the whole.
+                let groups = batch.groups.iter().zip(phases.split_with_sizes(batch.group_rows(), 0));
+                let pooled = groups.map(|(group, own)| {
+                    let own = own.view([group.samples, group.phases, self.hidden]);
+                    Tensor::cat(&[own.mean_dim(1, false, Kind::Float), own.amax(1, false)], 1)
                 });
+                let pooled = join(pooled.collect());
                 (phases, pooled)
             }
         };
@@ -85,104 +123,37 @@ impl GfeNet {
 
     pub(super) fn forward(&self, batch: &Batch, state: &Tensor) -> GfeOutput {
         let Recurrent { phases, h_s, states } = self.recurrent(batch, state);
-        let value = self.value.forward(&h_s);
         let h_sp = match (&batch.inputs, &self.lanes) {
             (Inputs::Movement(movement), Some(lanes)) => {
-                let attended = lanes.forward(batch, movement, &phases, &h_s, &value);
-                phases + self.output.forward(&attended)
+                let attended = lanes.forward(batch, movement, &phases, &h_s, &self.value, &self.output);
+                PhaseFeatures::Rows(attended)
             }
+            // Over the state token alone, attention is two linear layers, one after the other.
             (Inputs::Paper(paper), _) => {
-                let phases = phases.index_select(0, &paper.phase_of_row);
-                phases + batch.repeat_over_phases(&self.output.forward(&value))
+                let samples = self.output.after(&self.value).forward(&h_s);
+                PhaseFeatures::Sum(phases, samples, paper.phase_of_row.shallow_clone())
             }
             // A movement batch only meets a network built for movements: both come from one configuration.
-            (Inputs::Movement(_), None) => phases + batch.repeat_over_phases(&self.output.forward(&value)),
+            (Inputs::Movement(_), None) => PhaseFeatures::Rows(phases),
         };
         GfeOutput { h_sp, states }
     }
 }
 
-/// Attention from phases to the junction's lanes and its state token.
-///
-/// Keys and values are linear in a lane's few raw features, so scores and sums are taken in that small space and
-/// projected afterwards: the same numbers without a hidden vector per lane.
-#[derive(Debug)]
-struct LaneAttention {
-    heads: i64,
-    width: i64,
-    norm: LayerNorm,
-    query: Linear,
-    state_key: Linear,
-    lane_key: Projection,
-    lane_value: Projection,
-    /// `[hidden, heads]`, 1 where a column belongs to a head.
-    head_of: Tensor,
-}
-
-impl LaneAttention {
-    fn new(init: &mut Init<'_>, config: &ModelConfig, lane: i64) -> Self {
-        let (hidden, heads) = (config.hidden, config.heads);
-        let width = hidden / heads;
-        let head_of =
-            Tensor::eye(heads, (Kind::Float, init.device())).repeat_interleave_self_int(width, 0, None);
-        Self {
-            heads,
-            width,
-            norm: LayerNorm::new(&mut init.sub("norm"), hidden),
-            query: Linear::new(&mut init.sub("query"), hidden, hidden),
-            state_key: Linear::new(&mut init.sub("state_key"), hidden, hidden),
-            lane_key: Projection::new(&mut init.sub("lane_key"), lane, hidden, lane),
-            lane_value: Projection::new(&mut init.sub("lane_value"), lane, hidden, lane),
-            head_of,
-        }
-    }
-
-    /// Per-head projection `[hidden, heads * lane]` from `[hidden, lane]`: block-diagonal over the heads.
-    fn per_head(&self, weight: &Tensor) -> Tensor {
-        (weight.unsqueeze(1) * self.head_of.unsqueeze(2)).view([self.heads * self.width, -1])
-    }
-
-    /// Attended values `[rows, hidden]` before the output projection.
-    fn forward(
-        &self,
-        batch: &Batch,
-        inputs: &crate::batch::MovementInputs,
-        phases: &Tensor,
-        h_s: &Tensor,
-        state_value: &Tensor,
-    ) -> Tensor {
-        let (heads, width, hidden) = (self.heads, self.width, self.heads * self.width);
-        let query = self.query.forward(&self.norm.forward(phases)) / (width as f64).sqrt();
-        let state_key = self.state_key.forward(h_s);
-        let key = self.per_head(self.lane_key.weight());
-        let value = self.per_head(self.lane_value.weight()).transpose(0, 1);
-        let parts: Vec<Tensor> = batch
-            .groups
-            .iter()
-            .zip(&inputs.lanes)
-            .map(|(group, lanes)| {
-                let (n, p) = (group.samples, group.phases);
-                let query = query.narrow(0, group.first_row, n * p);
-                let lane_count = lanes.features.size()[1];
-                let features = lanes.features.size()[2];
-                let lane_scores =
-                    query.matmul(&key).view([n, p * heads, features]).bmm(&lanes.features.transpose(1, 2))
-                        + lanes.mask.unsqueeze(1);
-                let query = query.view([n, p, heads, width]);
-                let own = state_key.narrow(0, group.first_sample, n).view([n, 1, heads, width]);
-                let state_scores =
-                    (query * own).sum_dim_intlist(-1, false, Kind::Float).view([n, p * heads, 1]);
-                let weights = Tensor::cat(&[lane_scores, state_scores], 2).softmax(-1, Kind::Float);
-                let from_lanes = weights
-                    .narrow(2, 0, lane_count)
-                    .bmm(&lanes.features)
-                    .view([n * p, heads * features])
-                    .matmul(&value);
-                let own = state_value.narrow(0, group.first_sample, n).view([n, 1, heads, width]);
-                let from_state = weights.narrow(2, lane_count, 1).view([n, p, heads, 1]) * own;
-                from_lanes + from_state.reshape([n * p, hidden])
+/// Adds each sample's vector `[samples, w]` to its phases', which are the same at every step `[static phases, w]`; `[rows, w]`.
+fn add_per_phase(batch: &Batch, phases: &Tensor, samples: &Tensor) -> Tensor {
+    let width = samples.size()[1];
+    let phases = phases.split_with_sizes(batch.group_static_phases(), 0);
+    let samples = samples.split_with_sizes(batch.group_samples(), 0);
+    let groups = batch.groups.iter().zip(phases).zip(samples);
+    join(
+        groups
+            .map(|((group, phases), samples)| {
+                let sequences = group.samples / batch.steps;
+                let phases = phases.view([sequences, 1, group.phases, width]);
+                let samples = samples.view([sequences, batch.steps, 1, width]);
+                (phases + samples).view([group.samples * group.phases, width])
             })
-            .collect();
-        Tensor::cat(&parts, 0)
-    }
+            .collect(),
+    )
 }

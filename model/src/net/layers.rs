@@ -34,6 +34,56 @@ impl Linear {
     pub(super) fn forward(&self, x: &Tensor) -> Tensor {
         product(x, &self.weight, Some(&self.bias), self.product_kind)
     }
+
+    /// Two linear layers as one: what `self` makes of the output of `inner`. The weights' product costs next to nothing
+    /// beside a pass over a batch, and gradients reach both layers through it.
+    pub(super) fn after(&self, inner: &Self) -> Self {
+        Self {
+            weight: self.weight.matmul(&inner.weight),
+            bias: self.weight.mv(&inner.bias) + &self.bias,
+            product_kind: self.product_kind.and(inner.product_kind),
+        }
+    }
+
+    /// A matrix `[outputs, ..]` applied to what the layer gives, as one layer.
+    pub(super) fn under(&self, matrix: &Tensor) -> Self {
+        let (weight, bias) = (matrix.matmul(&self.weight), matrix.mv(&self.bias));
+        Self { weight, bias, product_kind: self.product_kind }
+    }
+
+    /// The layer on what a matrix `[inputs, ..]` gives, as one layer.
+    pub(super) fn after_product(&self, matrix: &Tensor) -> Self {
+        let (weight, bias) = (self.weight.matmul(matrix), self.bias.shallow_clone());
+        Self { weight, bias, product_kind: self.product_kind }
+    }
+
+    /// Several layers of the same input side by side.
+    pub(super) fn beside<'a>(layers: &(impl Iterator<Item = &'a Self> + Clone)) -> Self {
+        let parts = |part: fn(&Self) -> &Tensor| Tensor::cat(&layers.clone().map(part).collect::<Vec<_>>(), 0);
+        let product_kind = layers.clone().next().and_then(|layer| layer.product_kind);
+        Self { weight: parts(Self::weight), bias: parts(Self::bias), product_kind }
+    }
+
+    /// The first `inputs` columns, as a layer of these alone.
+    pub(super) fn first_columns(&self, inputs: i64) -> Self {
+        let (weight, bias) = (self.weight.narrow(1, 0, inputs), self.bias.shallow_clone());
+        Self { weight, bias, product_kind: self.product_kind }
+    }
+
+    /// The layer without its bias.
+    pub(super) fn without_bias(&self) -> Projection {
+        Projection { weight: self.weight.shallow_clone(), product_kind: self.product_kind }
+    }
+
+    /// `[outputs, inputs]`.
+    pub(super) fn weight(&self) -> &Tensor {
+        &self.weight
+    }
+
+    /// `[outputs]`.
+    pub(super) fn bias(&self) -> &Tensor {
+        &self.bias
+    }
 }
 
 /// `x Wᵀ + b`, computed in `kind` where one is given; the result has the kind of `x`.
@@ -89,7 +139,21 @@ impl Mlp {
     }
 
     pub(super) fn forward(&self, x: &Tensor) -> Tensor {
-        self.second.forward(&self.first.forward(x).relu())
+        self.second.forward(&self.hidden(x))
+    }
+
+    /// What the second layer is given.
+    pub(super) fn hidden(&self, x: &Tensor) -> Tensor {
+        // In place: no gradient needs the numbers before it.
+        self.first.forward(x).relu_()
+    }
+
+    pub(super) fn first(&self) -> &Linear {
+        &self.first
+    }
+
+    pub(super) fn second(&self) -> &Linear {
+        &self.second
     }
 }
 

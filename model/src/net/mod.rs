@@ -8,11 +8,11 @@
 //! ```
 
 mod gfe;
+mod lanes;
 mod layers;
 mod moe;
 mod pcc;
 
-pub use gfe::GfeOutput;
 pub use moe::MoeOutput;
 pub use pcc::PccOutput;
 
@@ -21,9 +21,9 @@ use crate::features::FeatureSizes;
 use crate::params::{Init, Params};
 use crate::placement::Placement;
 use cross_config::ModelConfig;
-use gfe::GfeNet;
+use gfe::{GfeNet, PhaseFeatures};
 use layers::Linear;
-use moe::Moe;
+use moe::{Moe, Pattern};
 use pcc::Pcc;
 use rand_chacha::ChaCha8Rng;
 use tch::{Device, Tensor};
@@ -66,12 +66,11 @@ pub struct Forward {
     pub scores: Tensor,
     /// Recurrent state after every step `[sequences, steps, hidden]`.
     pub states: Tensor,
-    /// Phase-aware representation of every packed row `[rows, hidden]`.
-    pub h_sp: Tensor,
     /// Clustering, if configured.
     pub pcc: Option<PccOutput>,
     /// Routing.
     pub moe: MoeOutput,
+    h_sp: PhaseFeatures,
 }
 
 impl Net {
@@ -119,10 +118,33 @@ impl Net {
     #[must_use]
     pub fn forward(&self, batch: &Batch, state: &Tensor) -> Forward {
         let gfe = self.gfe.forward(batch, state);
-        let pcc = self.pcc.as_ref().map(|pcc| pcc.forward(batch));
-        let moe = self.moe.forward(&gfe.h_sp, pcc.as_ref().map(|p| &p.z_hat));
-        let scores = self.head.forward(&moe.h_moe).squeeze_dim(1);
-        Forward { scores, states: gfe.states, h_sp: gfe.h_sp, pcc, moe }
+        let clustered = self.pcc.as_ref().map(|pcc| (pcc.forward(batch), pcc.centres()));
+        let pattern = clustered.as_ref().map(|(pcc, centres)| Pattern { weights: &pcc.weights, centres });
+        let moe = self.moe.forward(batch, &gfe.h_sp, pattern.as_ref(), &self.head);
+        let pcc = clustered.map(|(pcc, _)| pcc);
+        Forward { scores: moe.scores.shallow_clone(), states: gfe.states, h_sp: gfe.h_sp, pcc, moe }
+    }
+
+    /// Phase-aware representation of every packed row `[rows, hidden]`.
+    pub fn h_sp(&self, batch: &Batch, forward: &Forward) -> Tensor {
+        forward.h_sp.rows(batch)
+    }
+
+    /// The mixture's output `[rows, hidden]`, which a pass has no need of.
+    pub fn h_moe(&self, batch: &Batch, forward: &Forward) -> Tensor {
+        self.moe.mixed(&self.h_sp(batch, forward), &forward.moe)
+    }
+
+    /// The latent z of every row `[rows, latent]`, of which a pass needs only a projection.
+    #[must_use]
+    pub fn latent(&self, pcc: &PccOutput) -> Option<Tensor> {
+        self.pcc.as_ref().map(|module| module.latent(pcc))
+    }
+
+    /// The pattern that the router sees, `z_hat` `[rows, latent]`.
+    #[must_use]
+    pub fn pattern(&self, pcc: &PccOutput) -> Option<Tensor> {
+        self.pcc.as_ref().map(|module| pcc.weights.matmul(module.centres()))
     }
 
     /// The recurrent path alone: state after every step `[sequences, steps, hidden]`.
@@ -132,7 +154,12 @@ impl Net {
 
     /// The linear prediction `[samples, target]` of the next step's features from the chosen phases' latents.
     #[must_use]
-    pub fn predict(&self, pcc: &PccOutput, chosen_rows: &Tensor) -> Option<Tensor> {
-        self.pcc.as_ref().map(|module| module.predict(pcc, chosen_rows))
+    pub fn predict(&self, pcc: &PccOutput, batch: &Batch, chosen_rows: &Tensor) -> Option<Tensor> {
+        self.pcc.as_ref().map(|module| module.predict(pcc, batch, chosen_rows))
     }
+}
+
+/// Parts one below the other; a single one as it is.
+fn join(mut parts: Vec<Tensor>) -> Tensor {
+    if parts.len() == 1 { parts.remove(0) } else { Tensor::cat(&parts, 0) }
 }

@@ -1,8 +1,10 @@
 //! Predictive contrastive clustering (paper, section IV-B).
 //!
 //! The first layer is linear in its concatenated input, so each part is projected where it varies: counts per sample,
-//! phase per row, topology per agent.
+//! phase per row (in the form `paper` per agent), topology per agent. The latent z is linear in what the gated unit gives,
+//! and rows need only z's projection, which is linear in turn: z itself is computed where a prediction is asked for.
 
+use super::join;
 use super::layers::{LayerNorm, Linear, Projection};
 use crate::batch::{Batch, Inputs};
 use crate::features::FeatureSizes;
@@ -13,14 +15,12 @@ use tch::{Kind, Tensor};
 /// What clustering gives for every packed phase row.
 #[derive(Debug)]
 pub struct PccOutput {
-    /// Predictive latent `[rows, latent]`.
-    pub z: Tensor,
+    /// What the gated unit gives, one entry `[samples * phases, hidden]` per group.
+    hidden: Vec<Tensor>,
     /// Cosine similarities to the centres `[rows, clusters]`.
     pub similarity: Tensor,
     /// Soft assignment `[rows, clusters]`.
     pub weights: Tensor,
-    /// Quantised pattern `[rows, latent]`.
-    pub z_hat: Tensor,
 }
 
 #[derive(Debug)]
@@ -58,28 +58,64 @@ impl Pcc {
     }
 
     pub(super) fn forward(&self, batch: &Batch) -> PccOutput {
-        // Topology is constant in time: one row per sequence, repeated over its steps.
-        let topology = batch.repeat_over_steps(&self.topology.forward(&batch.topology));
-        let (phase, state) = match &batch.inputs {
-            Inputs::Paper(paper) => {
-                let phase = self.phase.forward(&paper.phase_states).index_select(0, &paper.phase_of_row);
-                (phase, self.state.forward(&paper.states))
-            }
-            Inputs::Movement(movement) => {
-                (self.phase.forward(&movement.phases), self.state.forward(&movement.context))
-            }
-        };
-        let hidden = (phase + batch.repeat_over_phases(&(state + topology))).glu(-1);
-        let z = self.second.forward(&hidden);
-        let projected = unit_rows(&self.norm.forward(&self.project.forward(&z)));
-        let similarity = projected.matmul(&unit_rows(&self.centres).transpose(0, 1));
+        let hidden = self.hidden(batch);
+        let project = self.project.after(&self.second);
+        let projected: Vec<Tensor> = hidden.iter().map(|own| project.forward(own)).collect();
+        let phi = self.norm.forward(&join(projected));
+        // Divided by their length after the product: six numbers instead of the whole row.
+        let length = phi.norm_scalaropt_dim(2, [1i64].as_slice(), true);
+        let similarity = phi.matmul(&unit_rows(&self.centres).transpose(0, 1)) / length.clamp_min(1e-6);
         let weights = (&similarity / self.tau_k).softmax(-1, Kind::Float);
-        let z_hat = weights.matmul(&self.centres);
-        PccOutput { z, similarity, weights, z_hat }
+        PccOutput { hidden, similarity, weights }
     }
 
-    pub(super) fn predict(&self, output: &PccOutput, chosen_rows: &Tensor) -> Tensor {
-        self.predict.forward(&output.z.index_select(0, chosen_rows))
+    /// The gated unit on `[S, G^p, I]`, group by group, so that what phases or steps share is added without being copied.
+    fn hidden(&self, batch: &Batch) -> Vec<Tensor> {
+        let (state, static_phases) = match &batch.inputs {
+            Inputs::Paper(paper) => {
+                (self.state.forward(&paper.states), Some(self.phase.forward(&paper.phase_states)))
+            }
+            Inputs::Movement(movement) => (self.state.forward(&movement.context), None),
+        };
+        // Topology is constant in time: one row per sequence, added at each of its steps.
+        let topology = self.topology.forward(&batch.topology).unsqueeze(1);
+        let base = state.view([batch.sequences, batch.steps, -1]) + topology;
+        let bases = base.split_with_sizes(batch.group_sequences(), 0);
+        let phases: Vec<Tensor> = match (&batch.inputs, static_phases) {
+            (Inputs::Movement(movement), _) => {
+                let own = movement.phases.split_with_sizes(batch.group_rows(), 0);
+                own.iter().map(|rows| self.phase.forward(rows)).collect()
+            }
+            (Inputs::Paper(_), Some(phases)) => phases.split_with_sizes(batch.group_static_phases(), 0),
+            (Inputs::Paper(_), None) => Vec::new(),
+        };
+        let groups = batch.groups.iter().zip(bases).zip(phases);
+        groups
+            .map(|((group, base), phase)| {
+                let width = phase.size()[1];
+                // [sequences, steps or 1, phases, width] + [sequences, steps, 1, width]
+                let phase = phase.view([base.size()[0], -1, group.phases, width]);
+                (phase + base.unsqueeze(2)).glu(-1).view([group.samples * group.phases, width / 2])
+            })
+            .collect()
+    }
+
+    /// The latent z of every row `[rows, latent]`.
+    pub(super) fn latent(&self, output: &PccOutput) -> Tensor {
+        join(output.hidden.iter().map(|own| self.second.forward(own)).collect())
+    }
+
+    /// What the router sees of the pattern: `z_hat = weights x centres`.
+    pub(super) fn centres(&self) -> &Tensor {
+        &self.centres
+    }
+
+    /// The prediction from one row of each sample.
+    pub(super) fn predict(&self, output: &PccOutput, batch: &Batch, chosen_rows: &Tensor) -> Tensor {
+        let chosen = chosen_rows.split_with_sizes(batch.group_samples(), 0);
+        let groups = batch.groups.iter().zip(&output.hidden).zip(chosen);
+        let hidden = groups.map(|((group, hidden), rows)| hidden.index_select(0, &(rows - group.first_row)));
+        self.predict.forward(&self.second.forward(&join(hidden.collect())))
     }
 }
 
