@@ -8,7 +8,7 @@
 //! Both write SUMO's record of trips, by which they are compared; a pair with other traffic is an error, not a ratio.
 
 mod bare;
-mod cost;
+pub(crate) mod cost;
 mod drive;
 mod inference;
 mod plan;
@@ -107,7 +107,7 @@ fn episodes(
             let wire =
                 wire.map_or_else(String::new, |bytes| format!("; {bytes:.1} bytes a decision to send"));
             progress(&format!(
-                "{}, {}, {repeat} of {}: {:.2} s, sumo alone {:.2} s, ratio {:.3} (CPU {:.3}); {vehicles} vehicles, all alike{wire}",
+                "{}, {}, {repeat} of {}: {:.2} s, sumo alone {:.2} s, ratio {:.3} (CPU {:.3}, outside SUMO {:.2} s); {vehicles} vehicles, all alike{wire}",
                 scenario.name,
                 way.name(),
                 options.repeats,
@@ -115,6 +115,7 @@ fn episodes(
                 bare.wall,
                 ours.wall / bare.wall,
                 ours.cpu / bare.cpu,
+                ours.own_cpu,
             ));
             costs.push((ours, bare));
         }
