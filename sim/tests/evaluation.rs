@@ -61,8 +61,8 @@ fn an_evaluation_repeats_itself_whatever_the_number_of_workers() {
 /// Runs an episode by hand as an evaluation does, but without SUMO's emissions device and without records of details.
 fn without_emissions(ground: &Ground, seed: u32) -> EpisodeMetrics {
     let folder = tempfile::tempdir().unwrap();
-    let tripinfo = Some(folder.path().join("trips.xml"));
-    let options = EnvOptions { tripinfo: tripinfo.clone(), ..EnvOptions::new(ground.env.clone()) };
+    let trips = folder.path().join("trips.xml");
+    let options = EnvOptions { tripinfo: Some(trips.clone()), ..EnvOptions::new(ground.env.clone()) };
     let mut env = Env::new(&ground.home, &ground.scenario, options).unwrap();
     env.reset(seed).unwrap();
     let layout = env.layout().clone();
@@ -82,7 +82,7 @@ fn without_emissions(ground: &Ground, seed: u32) -> EpisodeMetrics {
         total_reward += outcome.rewards.iter().map(|&reward| f64::from(reward)).sum::<f64>();
     }
     env.finish().unwrap();
-    let trips = TripTotals::read(&tripinfo.unwrap()).unwrap();
+    let trips = TripTotals::read(&trips).unwrap();
     EpisodeMetrics::new(seed, &meter, &trips, total_reward / layout.agents() as f64)
 }
 
@@ -112,7 +112,7 @@ fn measuring_emissions_and_details_changes_nothing_in_the_traffic() {
 #[test]
 fn details_are_those_of_the_metrics_and_small_enough_for_a_page() {
     let ground = Ground::new("grid4x4");
-    let env = EnvConfig { episode_seconds: 3600, ..ground.env.clone() };
+    let env = EnvConfig { episode_seconds: 3600, ..EnvConfig::default() };
     let setting = Setting { env: &env, details: true, ..ground.setting() };
     let make = || Ok(RuleBased::MaxPressure.controller(ground.scenario.reference.max_pressure));
     let report = evaluate_seeds(&setting, "max-pressure", &make, &[2, 1, 3], 2, &go_on).unwrap();

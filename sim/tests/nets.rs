@@ -187,6 +187,23 @@ fn contradictions_are_named() {
 }
 
 #[test]
+fn shapes_of_lanes_are_read_and_odd_ones_named() {
+    let good = net(2, 2, &program("J", "0", &["Gr", "rG"]), &two_links());
+    let with = |shape: &str| {
+        parse(&good.replace("length=\"101.5\"", &format!("length=\"101.5\" shape=\"{shape}\"")))
+    };
+    let lane = |shape: &str| with(shape).unwrap().edge("in").unwrap().lanes[1].shape.clone();
+    assert_eq!(parse(&good).unwrap().edge("in").unwrap().lanes[1].shape, [[0.0; 2]; 0]);
+    assert_eq!(lane("0,1 -2.5,3e1"), [[0.0, 1.0], [-2.5, 30.0]]);
+    assert_eq!(lane(" 0,1,7  2,3,8 "), [[0.0, 1.0], [2.0, 3.0]], "the third is height");
+    assert_eq!(lane(""), [[0.0; 2]; 0]);
+    for odd in ["0", "0,", "0,1 2", "0,north", "NaN,0", "inf,0"] {
+        let error = with(odd).unwrap_err().to_string();
+        assert!([odd, "in_1", "list of positions", PATH].iter().all(|part| error.contains(part)), "{error}");
+    }
+}
+
+#[test]
 fn files_that_are_no_nets_are_named_and_explained() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bad.net.xml");

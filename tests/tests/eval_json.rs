@@ -35,7 +35,6 @@ fn an_evaluation_is_valid_and_the_same_each_time() {
 /// A short evaluation with details.
 fn detailed() -> Value {
     let run = Run::new();
-    run.write_config("[env]\nepisode_seconds = 100\n");
     let (config, out) = (run.config().display().to_string(), run.config().with_file_name("report.json"));
     let file = out.display().to_string();
     let policy = ["eval", "--scenario", "cologne1", "--policy", "fixed-time", "--seeds", "2"];
@@ -54,7 +53,7 @@ fn places(value: &Value, place: &str, found: &mut Vec<String>) {
             members.iter().for_each(|(name, member)| places(member, &format!("{place}/{name}"), found));
         }
         Value::Array(items) => {
-            items.iter().take(1).for_each(|item| places(item, &format!("{place}/0"), found))
+            items.iter().take(1).for_each(|item| places(item, &format!("{place}/0"), found));
         }
         _ => {}
     }

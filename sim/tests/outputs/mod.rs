@@ -6,6 +6,8 @@
     reason = "each test file uses its own part, and may panic"
 )]
 
+pub(crate) mod comparison;
+
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 

@@ -10,17 +10,17 @@ use std::collections::HashSet;
 /// Keywords that say nothing about a document.
 const ANNOTATIONS: [&str; 4] = ["$schema", "$defs", "title", "description"];
 
-pub struct Schema {
+pub(crate) struct Schema {
     root: Value,
 }
 
 impl Schema {
-    pub fn parse(text: &str) -> Self {
+    pub(crate) fn parse(text: &str) -> Self {
         Self { root: serde_json::from_str(text).unwrap() }
     }
 
     /// What is wrong with a document, each with its place; empty if it is valid.
-    pub fn faults(&self, document: &Value) -> Vec<String> {
+    pub(crate) fn faults(&self, document: &Value) -> Vec<String> {
         let mut faults = Vec::new();
         self.check(&self.root, document, "$", &mut faults);
         faults
