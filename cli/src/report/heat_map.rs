@@ -8,6 +8,8 @@ use std::collections::HashMap;
 
 /// Shades from nothing to the most.
 const SHADES: usize = 7;
+/// Power by which the bounds of the shades grow: 1 would be evenly.
+const GROWTH: f64 = 1.5;
 const WIDTH: f64 = 340.0;
 const MARGIN: f64 = 8.0;
 /// A network much longer than wide is not drawn higher than this.
@@ -52,7 +54,7 @@ impl Queues {
     }
 }
 
-/// The shades that all maps of a scenario share. Their bounds grow with the square: queues differ by more than shades could
+/// The shades that all maps of a scenario share. Each is wider than the one before: queues differ by more than shades could
 /// tell if all were equally wide, and the short ones are most.
 pub(super) struct Shades {
     most: f64,
@@ -67,7 +69,7 @@ impl Shades {
 
     /// Where a shade begins.
     fn bound(&self, shade: usize) -> f64 {
-        self.most * (shade as f64 / SHADES as f64).powi(2)
+        self.most * (shade as f64 / SHADES as f64).powf(GROWTH)
     }
 
     fn class(&self, value: f64) -> String {
