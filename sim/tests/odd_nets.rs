@@ -140,7 +140,8 @@ fn sumos_own_programs_run_on_all_of_them() {
     };
     let joined =
         ["--tls.join", "--tls.join-dist", "100", "--walkingareas", "false", "--tls.allred.time", "2"];
-    let nets: [(&[&str], fn(String) -> String); 4] =
+    type Change = fn(String) -> String;
+    let nets: [(&[&str], Change); 4] =
         [(&[], whole), (&joined, whole), (&[], without_yellow), (&["--tls.default-type", "actuated"], whole)];
     for (options, change) in nets {
         let folder = tempfile::tempdir().unwrap();
