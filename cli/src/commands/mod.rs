@@ -1,6 +1,7 @@
 //! One file per command.
 
 pub(crate) mod baselines;
+pub(crate) mod bench;
 pub(crate) mod checkpoint;
 pub(crate) mod doctor;
 pub(crate) mod eval;
