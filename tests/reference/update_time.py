@@ -8,7 +8,7 @@
 
 Weights, minibatches and their order are those of the Rust program; the losses of the first minibatch are compared with the
 ones it wrote. Computed in float32 with torch's own GRU, which the reference writes out step by step. Only forward passes,
-losses, backward passes and Adam are timed: features, values and advantages are ready in the file.
+losses, backward passes and Adam are timed, in processor time: features, values and advantages are ready in the file.
 """
 
 import argparse
@@ -123,13 +123,13 @@ def main():
         epochs = min(args.epochs or wanted, wanted)
         times = []
         for _ in range(args.repeats):
-            start = time.perf_counter()
+            start = time.process_time()
             for _ in range(epochs):
                 for minibatch in batch.minibatches:
                     learner.step(minibatch)
-            times.append((time.perf_counter() - start) * wanted / epochs)
+            times.append((time.process_time() - start) * wanted / epochs)
         seconds = statistics.median(times)
-        line = f"{path.stem}: PyTorch {torch.__version__} {seconds:.1f} s an update of {wanted} epochs"
+        line = f"{path.stem}: PyTorch {torch.__version__} {seconds:.1f} CPU s an update of {wanted} epochs"
         if epochs < wanted:
             line += f" (scaled from {epochs})"
         if args.ours and (own := ours(args.ours, path.stem)):
