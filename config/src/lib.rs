@@ -63,9 +63,7 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] names the file, and the key and line where the text is at fault.
     pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
-        Self::from_toml(&text, &path.display().to_string())
+        Self::from_toml(&read(path)?, &path.display().to_string())
     }
 
     /// Parses and validates TOML text; `origin` is how errors call it.
@@ -73,16 +71,31 @@ impl Config {
     /// # Errors
     /// [`ConfigError::Parse`] for syntax, unknown keys and wrong types, [`ConfigError::Invalid`] for values that cannot work.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, ConfigError> {
-        let config: Self = toml::from_str(text).map_err(|source| {
+        let config = Self::parse_toml(text, origin)?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// The environment alone of a TOML file: what an evaluation needs. Unknown keys are refused in all of the file, values
+    /// that cannot work only in `[env]`, because an episode that is too short to train on can still be evaluated.
+    ///
+    /// # Errors
+    /// As [`Config::from_file`].
+    pub fn env_from_file(path: &Path) -> Result<EnvConfig, ConfigError> {
+        let config = Self::parse_toml(&read(path)?, &path.display().to_string())?;
+        config.env.validate()?;
+        Ok(config.env)
+    }
+
+    fn parse_toml(text: &str, origin: &str) -> Result<Self, ConfigError> {
+        toml::from_str(text).map_err(|source| {
             let before = source.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
             let line = before.lines().count() + usize::from(before.is_empty() || before.ends_with('\n'));
             // The parser's own display spreads over five lines and draws; people get one sentence.
             let written = text.lines().nth(line.saturating_sub(1)).unwrap_or_default().trim();
             let message = format!("line {line}, `{written}`: {}", source.message().trim_end());
             ConfigError::Parse { origin: origin.to_owned(), message }
-        })?;
-        config.validate()?;
-        Ok(config)
+        })
     }
 
     /// Parses and validates the JSON form that the learner hands to actors and writes into checkpoints.
@@ -162,6 +175,10 @@ impl Config {
     }
 }
 
+fn read(path: &Path) -> Result<String, ConfigError> {
+    std::fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.to_owned(), source })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -171,6 +188,19 @@ mod tests {
         let config = Config::default();
         assert_eq!(Config::from_toml(&config.to_toml(), "test").unwrap(), config);
         assert_eq!(Config::from_json(&config.to_json(), "test").unwrap(), config);
+    }
+
+    #[test]
+    fn an_episode_too_short_to_train_on_can_be_evaluated() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("short.toml");
+        std::fs::write(&file, "[env]\nepisode_seconds = 200\n").unwrap();
+        assert!(Config::from_file(&file).is_err());
+        assert_eq!(Config::env_from_file(&file).unwrap().episode_seconds, 200);
+        std::fs::write(&file, "[env]\nepisode_seconds = 205\n").unwrap();
+        assert!(Config::env_from_file(&file).unwrap_err().to_string().contains("episode_seconds"));
+        std::fs::write(&file, "[ppo]\nepoch = 1\n").unwrap();
+        assert!(Config::env_from_file(&file).unwrap_err().to_string().contains("epoch"));
     }
 
     #[test]

@@ -37,6 +37,11 @@ libraries() {
     ldd "$1" | awk '$2 == "=>" && $3 ~ /^\// { print $3 }' | sort -u
 }
 
+# Copies a library under the name that the loader asks for, also where that is a link. Programs share some.
+take() {
+    [ -e "$2/${1##*/}" ] || cp -L "$1" "$2/"
+}
+
 # The C and C++ runtime is the base image's.
 is_runtime() {
     case "${1##*/}" in
@@ -53,7 +58,7 @@ deps="$destination/learner/opt/cross/.deps"
 # libraries that even its CPU form is linked with. One folder; the image tells the loader of it.
 mkdir -p "$deps/libtorch/torch/lib"
 for library in $(libraries "$release/cross-learner"); do
-    is_runtime "$library" || cp -Ln "$library" "$deps/libtorch/torch/lib/"
+    is_runtime "$library" || take "$library" "$deps/libtorch/torch/lib"
 done
 if [ ! -e "$deps/libtorch/torch/lib/libtorch_cpu.so" ]; then
     echo "error: $release/cross-learner does not find libtorch; run make build again" >&2
@@ -78,8 +83,8 @@ for tool in sumo netconvert; do
         # X11 and GL, which SUMO links and never calls here, come along as bare libraries, because Debian's packages of
         # them bring a compiler of shaders.
         case "$library" in
-        */eclipse_sumo.libs/*) cp -Ln "$library" "$sumo/eclipse_sumo.libs/" ;;
-        *) is_runtime "$library" || cp -Ln "$library" "$sumo/system/" ;;
+        */eclipse_sumo.libs/*) take "$library" "$sumo/eclipse_sumo.libs" ;;
+        *) is_runtime "$library" || take "$library" "$sumo/system" ;;
         esac
     done
 done

@@ -1,5 +1,6 @@
 //! Programs of the system that some tests need and the set-up does not bring.
 
+use std::io::Write as _;
 use std::path::PathBuf;
 
 /// Set by `.ci/run`: there, a test that cannot run is a failure.
@@ -26,5 +27,6 @@ pub fn program(name: &str, package: &str) -> Option<PathBuf> {
 pub fn skipped(reason: &str) {
     let test = std::thread::current().name().unwrap_or("a test").to_owned();
     assert!(std::env::var_os(REQUIRE).is_none(), "{test} cannot run: {reason}");
-    eprintln!("skipped {test}: {reason}");
+    // Not by a macro that prints: what those write is shown of failed tests alone.
+    let _ = writeln!(std::io::stderr(), "skipped {test}: {reason}");
 }

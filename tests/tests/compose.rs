@@ -15,7 +15,6 @@ const BASE: &str = "cross-test-base:bookworm";
 const LEARNER: &str = "cross-test-learner:latest";
 const ACTOR: &str = "cross-test-actor:latest";
 const PROMETHEUS: &str = "cross-test-prometheus:latest";
-const PROJECT: &str = "crosstest";
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
@@ -81,6 +80,7 @@ fn build_images(folder: &Path) {
 
 /// The stack, taken down with its volumes when dropped.
 struct Stack {
+    project: String,
     grpc: u16,
     prometheus: u16,
     config: PathBuf,
@@ -91,7 +91,8 @@ impl Stack {
         // Ports that were free a moment ago, so that a cluster of the developer's own is not in the way.
         let [grpc, prometheus] =
             [0, 1].map(|_| std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port());
-        let stack = Self { grpc, prometheus, config };
+        let project = format!("crosstest{}", std::process::id());
+        let stack = Self { project, grpc, prometheus, config };
         // Grafana needs a registry; everything else is here.
         run(stack.compose(&[
             "up",
@@ -110,7 +111,7 @@ impl Stack {
         let mut command = Command::new("docker-compose");
         command
             .current_dir(root())
-            .args(["--project-name", PROJECT])
+            .args(["--project-name", &self.project])
             .args(arguments)
             .env("CROSS_LEARNER_IMAGE", LEARNER)
             .env("CROSS_ACTOR_IMAGE", ACTOR)
@@ -198,6 +199,7 @@ fn the_stack_trains_in_containers_and_goes_down_with_a_checkpoint() {
     assert!(!said.contains("panicked"), "{said}");
 
     // What was learned is in the volume, and the next start goes on from it.
+    let before = run(stack.compose(&["logs", "--no-color", "learner"])).stdout.len();
     run(stack.compose(&[
         "up",
         "--detach",
@@ -208,10 +210,16 @@ fn the_stack_trains_in_containers_and_goes_down_with_a_checkpoint() {
         "actor",
         "prometheus",
     ]));
-    let resumed = wait::until("the version to go on", || {
-        stack.query("max(cross_learner_policy_version)").filter(|&version| version > updates + 1.0)
+    let resumed = wait::until("the learner to resume", || {
+        let said = run(stack.compose(&["logs", "--no-color", "learner"])).stdout;
+        let said = String::from_utf8_lossy(said.get(before..)?).into_owned();
+        let line = said.lines().find(|line| line.contains("\"message\":\"ready\""))?.to_owned();
+        let (_, json) = line.split_once('{')?;
+        let line: Value = serde_json::from_str(&format!("{{{json}")).ok()?;
+        line["fields"]["updates"].as_f64()
     });
-    println!("resumed, at policy version {resumed}");
+    assert!(resumed >= updates, "it begins at update {resumed}, but {updates} were made before");
+    println!("resumed at update {resumed}");
     let files = run(stack.compose(&[
         "exec",
         "-T",

@@ -176,7 +176,8 @@ fn impossible_grids_are_refused_by_option_and_leave_nothing() {
         (&["--name", "../town"], &["--name", "../town"]),
         (&["--name", ""], &["--name"]),
     ] {
-        let arguments = [&["generate", "grid", "--out", &text(&out)], options].concat();
+        let out = text(&out);
+        let arguments = [&["generate", "grid", "--out", &out], options].concat();
         scenario(&run, &arguments).assert_refused(parts);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{options:?}");
     }

@@ -35,7 +35,7 @@ pub(crate) struct Eval {
     #[arg(long, value_name = "POLICY")]
     policy: String,
     /// SUMO seeds 1 to N
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
     /// Episodes at a time [default: one per core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
@@ -130,7 +130,7 @@ impl Eval {
                 self.policy,
                 RuleBased::names().join(", ")
             ))),
-            (None, Some(file)) => Ok(Config::from_file(file).or_bad_input()?.env),
+            (None, Some(file)) => Config::env_from_file(file).or_bad_input(),
             (None, None) => Ok(EnvConfig::default()),
         }
     }

@@ -123,15 +123,19 @@ pub(super) fn line(report: &EvalReport) -> Markup {
         never if never < 0.0 => "no teleports".to_owned(),
         seconds => format!("teleport after {seconds} s"),
     };
-    let mut parts = vec![
-        format!("decision every {} s", own.interval_seconds),
-        format!("{} s yellow", own.yellow_seconds),
+    let signals = if report.signals_by_sumo() {
+        vec![format!("signals by SUMO, read every {} s", own.interval_seconds)]
+    } else {
+        vec![format!("decision every {} s", own.interval_seconds), format!("{} s yellow", own.yellow_seconds)]
+    };
+    let mut parts = signals;
+    parts.extend([
         format!("{} s", number::count(own.episode_seconds.into())),
         teleport,
         format!("detection {}", shown(members(report).get("detection"))),
         seeds_in_words(&report.seeds),
         format!("SUMO {}", own.sumo_version),
-    ];
+    ]);
     if let Some(Value::String(preset)) = members(report).get("preset") {
         parts.insert(0, format!("protocol {preset}"));
     }

@@ -95,6 +95,12 @@ impl RuleBased {
         }
     }
 
+    /// Whether SUMO itself controls the signals, so that neither interval nor yellow of the protocol apply.
+    #[must_use]
+    pub fn is_sumos_program(self) -> bool {
+        matches!(self, Self::OwnProgram | Self::Actuated | Self::DelayBased)
+    }
+
     /// The names of all of them.
     #[must_use]
     pub fn names() -> Vec<&'static str> {

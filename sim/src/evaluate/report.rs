@@ -2,6 +2,7 @@
 
 use super::details::Details;
 use super::{Setting, format::Format};
+use crate::controller::RuleBased;
 use crate::layout::NetworkLayout;
 use crate::metrics::keyed::{self, Keyed};
 use crate::metrics::{EpisodeMetrics, Metric, Moments};
@@ -202,6 +203,12 @@ impl EvalReport {
     /// What is missing or wrong, and where.
     pub fn from_json(text: &str) -> Result<Self, serde_json::Error> {
         serde_json::from_str(text)
+    }
+
+    /// Whether a program inside SUMO controlled the signals; interval and yellow of the protocol then steered nothing.
+    #[must_use]
+    pub fn signals_by_sumo(&self) -> bool {
+        self.controller.parse::<RuleBased>().is_ok_and(RuleBased::is_sumos_program)
     }
 
     /// One metric over the seeds.

@@ -108,8 +108,11 @@ fn title(scenario: &str, reports: &[&EvalReport]) -> String {
     let of = |name: &str, text: &dyn Fn(&Protocol) -> String| common(name, &|report| text(&report.protocol));
     let rules = [
         of("protocols", &|own| format!("protocol {}", own.preset)),
-        of("intervals", &|own| {
-            let Protocol { interval_seconds, yellow_seconds, episode_seconds, .. } = own;
+        common("intervals", &|report| {
+            let Protocol { interval_seconds, yellow_seconds, episode_seconds, .. } = &report.protocol;
+            if report.signals_by_sumo() {
+                return format!("{episode_seconds} s, signals by SUMO, read every {interval_seconds} s");
+            }
             format!(
                 "{episode_seconds} s, decision every {interval_seconds} s with {yellow_seconds} s of yellow"
             )
@@ -212,6 +215,15 @@ mod tests {
             .map(|name| line(&text, name).chars().count())
             .collect();
         assert!(ends.iter().all(|&end| end == text.lines().nth(3).unwrap().chars().count()), "{text}");
+    }
+
+    #[test]
+    fn a_program_of_sumos_is_not_said_to_decide() {
+        let mut own = report("grid4x4", "actuated", &[1.0]);
+        own.controller = "actuated".to_owned();
+        let text = table(&[own]);
+        assert!(text.contains("3600 s, signals by SUMO, read every 10 s"), "{text}");
+        assert!(!text.contains("decision every"), "{text}");
     }
 
     #[test]
