@@ -123,6 +123,7 @@ fn gradients(net: &Net) -> BTreeMap<String, Tensor> {
 
 #[test]
 fn outputs_losses_and_gradients_agree() {
+    cross_model::set_single_threaded();
     for (name, config) in configurations() {
         let sizes = FeatureSizes::new(&config.env, &config.model);
         let (actor, critic) = nets(&config, &sizes);
@@ -185,6 +186,7 @@ fn compare(name: &str, config: &Config, role: Role, net: &Net, minibatch: &Minib
 
 #[test]
 fn an_update_ends_at_the_same_weights() {
+    cross_model::set_single_threaded();
     for (name, mut config) in configurations() {
         config.ppo.epochs = 2;
         // One minibatch an epoch, so that no order of sequences matters.
@@ -207,16 +209,15 @@ fn an_update_ends_at_the_same_weights() {
 
         snapshot::load_weights(&trainer.snapshot().unwrap(), &actor, &critic).unwrap();
         let packed: BTreeMap<&str, &Tensor> = actor.params().iter().chain(critic.params().iter()).collect();
+        // Adam moves an entry by its learning rate however small its gradient, so where rounding decides the sign of one
+        // (the bias of a unit that is active on all phases moves their logits alike) the weights differ by twice that;
+        // nearly all must agree far better.
+        let (mut far, mut all) = (0.0, 0.0);
         for (parameter, plain) in learner.weights() {
-            // Adam moves an entry by its learning rate however small its gradient, so where rounding decides the sign of
-            // one the weights differ by twice that; nearly all must agree far better.
             let off = (packed[parameter] - plain).abs();
-            let far = off.gt(config.ppo.actor_lr * 0.02).to_kind(Kind::Float).mean(Kind::Float);
-            let far = far.double_value(&[]);
-            let free = WITHOUT_GRADIENT.contains(&parameter);
-            // The bias of a unit that is active on all phases moves their logits alike, too.
-            let limit = if parameter.ends_with(".bias") { 0.2 } else { 0.05 };
-            assert!(free || far < limit, "{name}: {parameter} differs in a share of {far}");
+            far += off.gt(config.ppo.actor_lr * 0.02).sum(Kind::Float).double_value(&[]);
+            all += off.numel() as f64;
         }
+        assert!(far / all < 0.02, "{name}: {far} of {all} weights differ");
     }
 }
