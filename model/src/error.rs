@@ -92,6 +92,16 @@ pub enum ModelError {
         "libtorch failed during an update ({0}); the weights before it are kept; if memory ran out, lower ppo.minibatch_decisions or ppo.sequence_steps"
     )]
     Update(String),
+    /// A panic that was not libtorch's.
+    #[error(
+        "a defect of CROSS in an update: {message}, at {place}; the weights before it are kept; please report it"
+    )]
+    Defect {
+        /// Of the panic.
+        message: String,
+        /// File, line and column.
+        place: String,
+    },
     /// An update without data.
     #[error("an update needs at least one fragment")]
     Empty,

@@ -13,6 +13,7 @@ pub mod batch;
 pub mod error;
 pub mod features;
 pub mod gae;
+mod guard;
 mod inference;
 pub mod losses;
 pub mod net;

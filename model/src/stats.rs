@@ -94,7 +94,7 @@ impl Means {
         experts: i64,
     ) {
         let count = self.scenarios.len() as i64;
-        let (widths, numbers) = tch::no_grad(|| {
+        let (clusters, numbers) = tch::no_grad(|| {
             let PolicyDiagnostics { approx_kl, clipped, entropy } = diagnostics;
             let per_sample = Tensor::stack(&[&approx_kl.ones_like(), approx_kl, clipped, entropy], 1);
             let mut parts = vec![by_scenario(&per_sample, scenario_of_sample, count)];
@@ -117,9 +117,9 @@ impl Means {
             sums.approx_kl += f64::from(scalars[1]);
             sums.clipped += f64::from(scalars[2]);
             sums.entropy += f64::from(scalars[3]);
-            let (clusters, experts) = usage.split_at(widths);
-            accumulate(&mut sums.clusters, clusters.iter().map(|v| f64::from(*v)));
-            accumulate(&mut sums.experts, experts.iter().map(|v| f64::from(*v)));
+            let (by_cluster, by_expert) = usage.split_at(clusters);
+            accumulate(&mut sums.clusters, by_cluster.iter().map(|v| f64::from(*v)));
+            accumulate(&mut sums.experts, by_expert.iter().map(|v| f64::from(*v)));
         }
     }
 

@@ -3,6 +3,7 @@
 use crate::adam::{Adam, zero_gradients};
 use crate::error::ModelError;
 use crate::features::{FeatureSizes, NetworkSpec};
+use crate::guard::guarded;
 use crate::losses::{self, Loss};
 use crate::net::{Net, Role};
 use crate::placement::Placement;
@@ -14,7 +15,6 @@ use cross_sim::layout::NetworkLayout;
 use cross_sim::trajectory::Fragment;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use tch::Tensor;
 
@@ -127,7 +127,8 @@ impl Trainer {
                 Ok(stats)
             }
             Err(error) => {
-                self.restore(&before.model, &before.optimizer)?;
+                // Also guarded: a GPU that failed may fail again.
+                guarded(|| self.restore(&before.model, &before.optimizer))?;
                 Err(error)
             }
         }
@@ -297,20 +298,6 @@ impl Trainer {
     }
 }
 
-/// The bindings panic where libtorch throws, and a GPU without memory left must not take the learner down with it: what
-/// a failed update leaves behind is replaced by what was saved before it.
-fn guarded<T>(work: impl FnOnce() -> Result<T, ModelError>) -> Result<T, ModelError> {
-    // Put back at the end: a panic inside `no_grad` would leave gradients off.
-    let _mode = tch::no_grad_guard();
-    std::panic::catch_unwind(AssertUnwindSafe(|| tch::with_grad(work))).unwrap_or_else(|panic| {
-        let text = panic.downcast_ref::<String>().map(String::as_str);
-        let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without a message");
-        // libtorch's own stack trace follows its first line, in which the bindings' debug form spells line breaks out.
-        let first = text.split('\n').next().unwrap_or(text).split("\\n").next().unwrap_or(text);
-        Err(ModelError::Update(first.to_owned()))
-    })
-}
-
 /// Backward pass and one step; an error if either is not finite.
 fn descend(
     loss: &Loss,
@@ -326,22 +313,4 @@ fn descend(
     loss.total.f_backward()?;
     let norm = adam.step(net.params(), lr, max_norm);
     if norm.is_finite() { Ok(norm) } else { Err(ModelError::NotFinite(what)) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use tch::{Device, Kind};
-
-    #[test]
-    fn what_libtorch_throws_is_an_error_in_one_line() {
-        let ones = |rows: i64| Tensor::ones([rows, 2], (Kind::Float, Device::Cpu));
-        let error = guarded(|| Ok(tch::no_grad(|| ones(3).matmul(&ones(5))))).unwrap_err();
-        let text = error.to_string();
-        assert!(matches!(error, ModelError::Update(_)), "{text}");
-        assert!(text.contains("shapes") && !text.contains('\n') && text.len() < 400, "{text}");
-        let x = ones(1).set_requires_grad(true);
-        assert!((&x * 2.0).requires_grad(), "gradients are off after the failure");
-        assert!(guarded(|| Ok((&x * 2.0).requires_grad())).unwrap());
-    }
 }

@@ -123,18 +123,18 @@ impl GfeNet {
 
     pub(super) fn forward(&self, batch: &Batch, state: &Tensor) -> GfeOutput {
         let Recurrent { phases, h_s, states } = self.recurrent(batch, state);
-        let h_sp = match (&batch.inputs, &self.lanes) {
-            (Inputs::Movement(movement), Some(lanes)) => {
+        let h_sp = match &batch.inputs {
+            Inputs::Movement(movement) => {
+                // Both come from one configuration; without the lanes, the phases would lose the state in silence.
+                let lanes = self.lanes.as_ref().expect("a network that is fed movements was built for them");
                 let attended = lanes.forward(batch, movement, &phases, &h_s, &self.value, &self.output);
                 PhaseFeatures::Rows(attended)
             }
             // Over the state token alone, attention is two linear layers, one after the other.
-            (Inputs::Paper(paper), _) => {
+            Inputs::Paper(paper) => {
                 let samples = self.output.after(&self.value).forward(&h_s);
                 PhaseFeatures::Sum(phases, samples, paper.phase_of_row.shallow_clone())
             }
-            // A movement batch only meets a network built for movements: both come from one configuration.
-            (Inputs::Movement(_), None) => PhaseFeatures::Rows(phases),
         };
         GfeOutput { h_sp, states }
     }
