@@ -154,9 +154,7 @@ impl MetricsLog {
             let _ = self.file.set_len(before);
         })
     }
-}
 
-impl MetricsLog {
     /// Bytes that an ordinary user can still write to the run directory's file system.
     ///
     /// # Errors
