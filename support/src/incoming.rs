@@ -1,8 +1,11 @@
 //! Connections of a port, encrypted or not, for the gRPC server and the admin port alike.
 //!
 //! A task accepts and shakes hands, many at a time and each within a deadline, so that a client that is slow, or speaks
-//! nothing, holds up nobody. Above the limit on connections a new one is closed at once.
+//! nothing, holds up nobody. Above the limit on connections, or on those of one host, a new one is closed at once.
 
+use crate::patience::{Deadlines, Patience};
+use crate::places::{Place, Places};
+use crate::server::Protocol;
 use axum::extract::connect_info;
 use axum::serve::IncomingStream;
 use futures::Stream;
@@ -14,7 +17,7 @@ use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
@@ -44,13 +47,14 @@ impl Incoming {
     pub(crate) fn new(
         listener: TcpListener,
         tls: Option<Arc<ServerConfig>>,
+        protocol: Protocol,
         connections: usize,
+        deadlines: Deadlines,
     ) -> io::Result<Self> {
         let local = listener.local_addr()?;
         let (sender, ready) = mpsc::channel(READY);
-        let places = Arc::new(Semaphore::new(connections.min(Semaphore::MAX_PERMITS)));
-        let acceptor = tls.map(TlsAcceptor::from);
-        let accepting = tokio::spawn(accept(listener, acceptor, places, sender));
+        let port = Port { acceptor: tls.map(TlsAcceptor::from), protocol, deadlines };
+        let accepting = tokio::spawn(accept(listener, port, Places::new(connections), sender));
         Ok(Self { local, ready, accepting })
     }
 }
@@ -61,12 +65,15 @@ impl Drop for Incoming {
     }
 }
 
-async fn accept(
-    listener: TcpListener,
+/// What a port speaks, and how long it waits for that.
+#[derive(Clone)]
+struct Port {
     acceptor: Option<TlsAcceptor>,
-    places: Arc<Semaphore>,
-    ready: mpsc::Sender<Connection>,
-) {
+    protocol: Protocol,
+    deadlines: Deadlines,
+}
+
+async fn accept(listener: TcpListener, port: Port, places: Arc<Places>, ready: mpsc::Sender<Connection>) {
     let complaints = Arc::new(Complaints::default());
     loop {
         let (stream, address) = match listener.accept().await {
@@ -77,15 +84,18 @@ async fn accept(
                 continue;
             }
         };
-        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
-            complaints.say(&format!("the connection of {address} is closed: there are as many as allowed"));
-            continue;
+        let place = match places.take(address.ip()) {
+            Ok(place) => place,
+            Err(full) => {
+                complaints.say(&format!("the connection of {address} is closed: {}", full.reason()));
+                continue;
+            }
         };
         // Fails only for a connection that is gone again.
         let _ = stream.set_nodelay(true);
-        let (acceptor, ready, complaints) = (acceptor.clone(), ready.clone(), Arc::clone(&complaints));
+        let (port, ready, complaints) = (port.clone(), ready.clone(), Arc::clone(&complaints));
         tokio::spawn(async move {
-            let io = match acceptor {
+            let io = match port.acceptor {
                 None => Io::Plain(stream),
                 Some(acceptor) => {
                     let shaken = acceptor.accept(stream).into_fallible();
@@ -104,8 +114,9 @@ async fn accept(
                 }
             };
             let peer = Peer { address, certificate: io.has_certificate() };
+            let patience = Patience::new(port.protocol, port.deadlines);
             // Fails only when the server has ended.
-            let _ = ready.send(Connection { io, peer, _place: place }).await;
+            let _ = ready.send(Connection { io, peer, patience, _place: place }).await;
         });
     }
 }
@@ -153,7 +164,8 @@ pub struct Peer {
 pub struct Connection {
     io: Io,
     peer: Peer,
-    _place: OwnedSemaphorePermit,
+    patience: Patience,
+    _place: Place,
 }
 
 #[derive(Debug)]
@@ -216,8 +228,8 @@ impl connect_info::Connected<IncomingStream<'_, Incoming>> for Peer {
 
 /// Calls the same method of whichever stream it is.
 macro_rules! either {
-    ($self:expr, $stream:ident => $call:expr) => {
-        match &mut $self.get_mut().io {
+    ($io:expr, $stream:ident => $call:expr) => {
+        match $io {
             Io::Plain(stream) => {
                 let $stream = Pin::new(stream);
                 $call
@@ -236,21 +248,33 @@ impl AsyncRead for Connection {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        either!(self, stream => stream.poll_read(context, buffer))
+        let Self { io, patience, .. } = self.get_mut();
+        patience.check(context)?;
+        let before = buffer.filled().len();
+        let read = either!(io, stream => stream.poll_read(context, buffer));
+        patience.heard(buffer.filled().len() - before);
+        read
     }
 }
 
 impl AsyncWrite for Connection {
     fn poll_write(self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        either!(self, stream => stream.poll_write(context, bytes))
+        let Self { io, patience, .. } = self.get_mut();
+        let written = either!(io, stream => stream.poll_write(context, bytes));
+        patience.wrote(context, written)
     }
 
     fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        either!(self, stream => stream.poll_flush(context))
+        let Self { io, patience, .. } = self.get_mut();
+        let flushed = either!(io, stream => stream.poll_flush(context));
+        if flushed.is_pending() {
+            patience.check(context)?;
+        }
+        flushed
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        either!(self, stream => stream.poll_shutdown(context))
+        either!(&mut self.get_mut().io, stream => stream.poll_shutdown(context))
     }
 
     fn poll_write_vectored(
@@ -258,7 +282,9 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         buffers: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        either!(self, stream => stream.poll_write_vectored(context, buffers))
+        let Self { io, patience, .. } = self.get_mut();
+        let written = either!(io, stream => stream.poll_write_vectored(context, buffers));
+        patience.wrote(context, written)
     }
 
     fn is_write_vectored(&self) -> bool {

@@ -5,7 +5,9 @@
 //!   admin        /metrics (with process), /ready, /live
 //!   options ──> pem, token ──> server ── incoming ──> gRPC and admin ports
 //!                         └──> client ──────────────> endpoint, bearer token
+//!                                   places: how many, patience: silent for how long
 //!   problem      what a failed handshake means, in words
+//!   open_files   how many connections fit
 //! ```
 //! It knows nothing of traffic, learning or libtorch. Secrets are held in types that do not print them.
 
@@ -14,8 +16,11 @@ pub mod client;
 mod error;
 pub mod files;
 pub mod incoming;
+pub mod open_files;
 pub mod options;
+mod patience;
 mod pem;
+mod places;
 pub mod problem;
 mod process;
 pub mod server;

@@ -3,6 +3,7 @@
 use crate::error::SecurityError;
 use crate::incoming::Incoming;
 use crate::options::{ServerOptions, given};
+use crate::patience::Deadlines;
 use crate::pem::{self, Identity};
 use crate::token::Tokens;
 use std::fmt;
@@ -97,7 +98,7 @@ impl ServerSecurity {
         if on.is_empty() { "none".to_owned() } else { on.join(", ") }
     }
 
-    /// The connections of a listening socket, at most `connections` at a time.
+    /// The connections of a listening socket, at most `connections` at a time, half of them of one host. Silent ones are closed.
     ///
     /// # Errors
     /// If the socket cannot tell its address.
@@ -111,7 +112,7 @@ impl ServerSecurity {
             Protocol::Grpc => &self.grpc,
             Protocol::Http => &self.http,
         };
-        Incoming::new(listener, tls.clone(), connections)
+        Incoming::new(listener, tls.clone(), protocol, connections, Deadlines::default())
     }
 }
 
