@@ -52,13 +52,19 @@ fn helper(role: &str, mark: &str) -> Command {
 
 fn owner(role: &str) -> Owner {
     let mut process = helper(role, "").spawn().unwrap();
+    let sumo = started(&mut process);
+    Owner { process, sumo }
+}
+
+/// Waits until the helper has started SUMO, whose process id it returns.
+fn started(process: &mut Child) -> u32 {
     let lines = BufReader::new(process.stderr.take().unwrap()).lines();
     let sumo = lines.map_while(Result::ok).find_map(|line| line.strip_prefix("SUMO ")?.parse().ok());
     let Some(sumo) = sumo else {
         process.kill().unwrap();
         panic!("the helper did not start SUMO: {:?}", process.wait());
     };
-    Owner { process, sumo }
+    sumo
 }
 
 #[test]
@@ -91,6 +97,25 @@ fn marked(mark: &str) -> Vec<u32> {
         environment.windows(entry.len()).any(|window| window == entry.as_bytes()) && runs(pid)
     })
     .collect()
+}
+
+/// What a process was started with, `NAME=VALUE` each.
+fn environment(pid: u32) -> Vec<String> {
+    let bytes = std::fs::read(format!("/proc/{pid}/environ")).unwrap();
+    bytes.split(|byte| *byte == 0).map(|entry| String::from_utf8_lossy(entry).into_owned()).collect()
+}
+
+#[test]
+fn sumo_does_not_inherit_its_owner_s_secrets() {
+    let mut process = helper("idle", "kept").env("SOME_TOKEN", "must-not-be-seen").spawn().unwrap();
+    let owner = process.id();
+    let sumo = started(&mut process);
+    assert!(environment(owner).contains(&"SOME_TOKEN=must-not-be-seen".to_owned()));
+    let inherited = environment(sumo);
+    assert!(inherited.contains(&format!("{MARK}=kept")), "{inherited:?}");
+    assert!(!inherited.iter().any(|entry| entry.contains("must-not-be-seen")), "{inherited:?}");
+    process.kill().unwrap();
+    process.wait().unwrap();
 }
 
 #[test]

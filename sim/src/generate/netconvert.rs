@@ -7,7 +7,7 @@ use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 /// Far more than the largest grid that the generator allows needs on a slow machine.
@@ -67,11 +67,9 @@ fn run(home: &SumoHome, arguments: &[&OsStr], folder: &Path) -> Result<(), Gener
     let report = folder.join("netconvert.log");
     let log = File::create(&report).map_err(GenerateError::write(&report))?;
     let started = log.try_clone().and_then(|both| {
-        Command::new(&binary)
+        home.command("netconvert")
             .args(arguments)
             .current_dir(folder)
-            .env("SUMO_HOME", home.path())
-            .env("LC_ALL", "C")
             .stdin(Stdio::null())
             .stdout(both)
             .stderr(log)

@@ -1,5 +1,6 @@
 //! Finding SUMO.
 
+use super::environment::hide_secrets;
 use super::process::Process;
 use crate::error::TraciError;
 use std::ffi::OsStr;
@@ -100,6 +101,17 @@ impl SumoHome {
         self.binaries.join(name)
     }
 
+    /// One of its programs, ready for arguments: it finds its own files, speaks English, and sees no variable of this process
+    /// that by its name holds a secret (`API_TOKEN`, `PASSWORD`).
+    #[must_use]
+    pub fn command(&self, name: &str) -> Command {
+        let mut command = Command::new(self.binary(name));
+        hide_secrets(&mut command, std::env::vars_os().map(|(name, _)| name));
+        // Without it SUMO looks for XML schemas on the web, and every message is in the machine's language.
+        command.env("SUMO_HOME", &self.path).env("LC_ALL", "C");
+        command
+    }
+
     /// SUMO's version, such as `1.28.0`, by asking the program.
     ///
     /// # Errors
@@ -108,8 +120,8 @@ impl SumoHome {
         let binary = self.binary("sumo");
         let failed =
             |reason: String| TraciError::Spawn { binary: binary.clone(), reason, evidence: Box::default() };
-        let mut command = Command::new(&binary);
-        command.arg("--version").env("SUMO_HOME", &self.path).env("LC_ALL", "C");
+        let mut command = self.command("sumo");
+        command.arg("--version");
         let (process, first) = Process::first_line(command, Duration::from_secs(20))
             .map_err(|error| failed(error.to_string()))?;
         first.as_deref().and_then(parse_version).ok_or_else(|| TraciError::Spawn {

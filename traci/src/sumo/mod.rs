@@ -3,6 +3,7 @@
 //! ```text
 //!   locate     where is SUMO?            option, SUMO_HOME, make build, PATH
 //!   port       a free port, held while SUMO starts
+//!   environment  without the owner's secrets
 //!   spawn      fork, on a thread that never ends; the kernel kills the child when this process dies
 //!   listening  does that very child listen on that port?
 //!   start      all of it, again on another port if that one was taken; then the handshake
@@ -21,6 +22,7 @@
 //! Elsewhere than on Linux there is no such promise, and a `SIGKILL` of the owner leaves SUMO until it notices that its
 //! connection is gone, at the end of the current command.
 
+mod environment;
 mod listening;
 mod locate;
 mod output;

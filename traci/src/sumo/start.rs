@@ -71,14 +71,12 @@ impl SumoCommand {
     }
 
     fn command(&self, home: &SumoHome, port: u16) -> Command {
-        let mut command = Command::new(home.binary("sumo"));
+        let mut command = home.command("sumo");
         command.args(&self.args);
         command.arg("--remote-port").arg(port.to_string()).args(["--num-clients", "1"]);
         if !self.has("--no-step-log") {
             command.args(["--no-step-log", "true"]);
         }
-        // Without it SUMO looks for XML schemas on the web, and every message is in the machine's language.
-        command.env("SUMO_HOME", home.path()).env("LC_ALL", "C");
         if let Some(directory) = &self.directory {
             command.current_dir(directory);
         }
