@@ -45,8 +45,8 @@ pub(crate) fn evaluate_all(
     let results = Mutex::new(Ok(Vec::with_capacity(jobs.len())));
     let lock = || results.lock().unwrap_or_else(PoisonError::into_inner);
     std::thread::scope(|scope| {
-        for _ in 0..workers.clamp(1, jobs.len().max(1)) {
-            scope.spawn(|| {
+        for number in 0..workers.clamp(1, jobs.len().max(1)) {
+            let work = || {
                 while let Some(&(task, seed)) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
                     let step = |_| {
                         if lock().is_err() {
@@ -63,7 +63,15 @@ pub(crate) fn evaluate_all(
                         _ => return,
                     }
                 }
-            });
+            };
+            let builder = std::thread::Builder::new().name(format!("evaluate-{number}"));
+            if let Err(source) = builder.spawn_scoped(scope, work) {
+                // The workers that are there do all of it, if there is any.
+                if number == 0 {
+                    *lock() = Err(EvaluateError::Thread { source });
+                }
+                break;
+            }
         }
     });
     let reports = results.into_inner().unwrap_or_else(PoisonError::into_inner)?;

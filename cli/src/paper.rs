@@ -1,5 +1,6 @@
 //! Published figures to hold ours against: the tables of the CROSS paper, read from `data/paper-results.csv`.
 
+use cross_sim::controller::RuleBased;
 use std::sync::LazyLock;
 
 const TABLE: &str = include_str!("../data/paper-results.csv");
@@ -30,6 +31,16 @@ pub(crate) fn lookup(scenario: &str, method: &str, metric: &str) -> Option<&'sta
     results()
         .iter()
         .find(|result| (result.scenario, result.method, result.metric) == (scenario, method, metric))
+}
+
+/// The variant of Max-Pressure with which the paper's row of a scenario is reproduced; the paper does not say which it ran.
+pub(crate) fn max_pressure_variant(scenario: &str) -> Option<RuleBased> {
+    match scenario {
+        "grid4x4" | "arterial4x4" => Some(RuleBased::MaxPressureAll),
+        "grid5x5" => Some(RuleBased::MaxPressureStopped50m),
+        "jinan1" | "jinan2" | "jinan3" | "hangzhou1" | "hangzhou2" => Some(RuleBased::MaxPressureStopped),
+        _ => None,
+    }
 }
 
 /// The lines of one of our CSV files below its header; `#` begins a comment line, and no field is quoted.

@@ -81,21 +81,30 @@ fn finished_episodes_are_kept_and_not_simulated_again() {
     }
     assert_eq!(stored(&small.results()).len(), 4);
 
-    // A lost and a damaged result are made again, the same as before; the others are only read.
+    // A lost and a damaged result are made again, the same as before.
     let all = stored(&small.results());
     std::fs::remove_file(&all[0]).unwrap();
     std::fs::write(&all[1], "{").unwrap();
-    let marked: Value = serde_json::from_slice(&std::fs::read(&all[2]).unwrap()).unwrap();
     let again = small.call(&rules);
     assert!(again.stderr.contains("2 of 4 episodes are in"), "{}", again.stderr);
     assert_eq!(again.json(), first);
-    let kept: Value = serde_json::from_slice(&std::fs::read(&all[2]).unwrap()).unwrap();
-    assert_eq!(kept, marked);
+
+    // The others are read and not simulated: a figure that was altered is believed.
+    let altered = small.results().join("town/fixed-time/seed-2.json");
+    let mut document: Value = serde_json::from_slice(&std::fs::read(&altered).unwrap()).unwrap();
+    document["evaluation"][0]["per_seed"][0]["metrics"]["trip_delay"]["mean"] = json!(4321.0);
+    std::fs::write(&altered, document.to_string()).unwrap();
+    let believed = small.call(&rules).json();
+    assert_eq!(believed["scenarios"][0]["policies"][0]["metrics"]["trip_delay"]["high"], 4321.0);
+    // Unless it was made by another generation of this program.
+    document["made"]["generation"] = json!(0);
+    std::fs::write(&altered, document.to_string()).unwrap();
+    assert_eq!(small.call(&rules).json(), first);
 
     // The page says the same, to standard output or to a file.
     let page = small.folder.path().join("page.md");
     let told = small.call(&[&rules[..6], &["--markdown", &page.display().to_string()]].concat());
-    assert!(told.stdout.contains("1 scenarios") || told.stdout.contains("page.md"), "{}", told.stdout);
+    assert!(told.stdout.contains("1 scenario, page: "), "{}", told.stdout);
     let page = std::fs::read_to_string(page).unwrap();
     assert_eq!(page.trim_end(), small.call(&rules[..6]).stdout.trim_end());
     for part in
@@ -116,7 +125,7 @@ fn an_interrupt_loses_the_running_episode_alone() {
     background.send(Signal::INT);
     let finished = background.wait();
     assert_eq!(finished.code, Some(1), "{}", finished.stderr);
-    finished.assert_sentence(&["stopped", "episodes are left"]);
+    finished.assert_sentence(&["stopped", "left, and the same command goes on"]);
     assert_none_left(&small.run.marker());
     let there = stored(&small.results()).len();
     assert!(there < 12, "all were done before the signal came");
@@ -130,6 +139,10 @@ fn an_interrupt_loses_the_running_episode_alone() {
 fn what_cannot_work_is_refused() {
     let run = Run::new();
     run.call(&["baselines", "--scenario", "grid4x5"]).assert_refused(&["grid4x5", "grid4x4"]);
+    let nowhere = ["--markdown", "/no/such/folder/page.md", "--out", "/dev/null/results"];
+    run.call(&[&["baselines"], &nowhere[..2]].concat()).assert_refused(&["/no/such/folder"]);
+    run.call(&["baselines", "--scenario", "grid4x4", "--out", nowhere[3]])
+        .assert_refused(&["/dev/null/results", "--out"]);
     run.call(&["baselines", "--scenario", "grid4x4", "--scenario", "grid4x4"])
         .assert_refused(&["grid4x4", "once"]);
     for arguments in [&["--policy", "max-presure"][..], &["--seeds", "0"], &["--workers", "0"]] {

@@ -30,8 +30,8 @@ fn protocol(page: &mut String, report: &Report) {
     line(
         page,
         &format!(
-            "Made with `{}`, cross {}, SUMO {}. A decision every {} s, the first {} s of yellow where the phase changes, {} s in all.\n",
-            report.command,
+            "Made with {}, cross {}, SUMO {}. A decision every {} s, the first {} s of yellow where the phase changes, {} s in all.\n",
+            code(&report.command),
             report.cross_version,
             report.sumo_version,
             env.decision_seconds,
@@ -70,7 +70,7 @@ fn protocol(page: &mut String, report: &Report) {
     if !report.missing.is_empty() {
         line(page, "\n**Missing here**, because this machine does not have them:\n");
         for missing in &report.missing {
-            line(page, &format!("- `{}`: {}", missing.scenario, missing.reason));
+            line(page, &format!("- {}: {}", code(&missing.scenario), one_line(&missing.reason)));
         }
     }
 }
@@ -119,7 +119,7 @@ fn agreement(page: &mut String, report: &Report) {
 }
 
 fn results(page: &mut String, scenario: &ScenarioReport) {
-    line(page, &format!("\n## {}\n", scenario.scenario));
+    line(page, &format!("\n## {}\n", heading(&scenario.scenario)));
     row(page, &header("rule", &Metric::PAPER));
     row(page, &vec!["---".to_owned(); 1 + Metric::PAPER.len()]);
     for policy in &scenario.policies {
@@ -280,11 +280,33 @@ fn short(hash: &str) -> String {
     hash.chars().take(HASH_DIGITS).collect()
 }
 
+/// Text as it stands; whatever it holds ends neither the code nor the line.
 fn code(text: &str) -> String {
-    format!("`{text}`")
+    let text = one_line(text);
+    if text.contains('`') { format!("`` {text} ``") } else { format!("`{text}`") }
+}
+
+/// Text in a heading, where nothing in it is formatting.
+fn heading(text: &str) -> String {
+    one_line(text).chars().fold(String::new(), |mut text, letter| {
+        if "\\`*_[]<>#|&".contains(letter) {
+            text.push('\\');
+        }
+        text.push(letter);
+        text
+    })
+}
+
+fn one_line(text: &str) -> String {
+    text.split(|letter: char| letter.is_whitespace() || letter.is_control())
+        .filter(|word| !word.is_empty())
+        .collect::<Vec<_>>()
+        .join(" ")
 }
 
 fn row(page: &mut String, cells: &[String]) {
+    // A bar would begin a cell, in code as well.
+    let cells: Vec<_> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
     line(page, &format!("| {} |", cells.join(" | ")));
 }
 
@@ -374,6 +396,13 @@ mod tests {
         assert_eq!(reference.matches('✗').count(), 12);
         assert!(reference.contains("| `grid4x4` | **`max-pressure-all`** |"), "{reference}");
         assert!(section(&page, "Beside the paper").contains("0 of 8 figures agree"));
+    }
+
+    #[test]
+    fn odd_names_break_neither_table_nor_page() {
+        let page = render(&report(&["a|b`c\nd # e"], &[RuleBased::Greedy]));
+        assert!(page.contains("\n## a\\|b\\`c d \\# e\n"), "{page}");
+        assert!(page.contains("| `` a\\|b`c d # e `` | 1473 |"), "{page}");
     }
 
     #[test]

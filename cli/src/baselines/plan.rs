@@ -192,6 +192,21 @@ mod tests {
     }
 
     #[test]
+    fn definitions_and_reports_take_the_same_variant_for_the_paper_s() {
+        for name in ["grid4x4", "arterial4x4", "grid5x5"] {
+            let scenario = Scenario::load(name).unwrap();
+            assert_eq!(
+                crate::paper::max_pressure_variant(name),
+                Some(published_variant(&scenario)),
+                "{name}"
+            );
+        }
+        for name in SCENARIOS {
+            assert!(crate::paper::max_pressure_variant(name).is_some(), "{name}");
+        }
+    }
+
+    #[test]
     fn the_usual_rules_are_all_but_chance() {
         let plan = plan(&["arterial4x4"], &[], None).unwrap();
         let policies = &plan.subjects[0].policies;

@@ -13,6 +13,9 @@ use cross_sim::scenario::SumoOptions;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
+/// Share of all vehicles by which variants may differ in how many they leave outside and still be ranked by trip delay.
+const OUTSIDE_APART: f64 = 0.01;
+
 /// Everything that the page shows, and what `--json` prints.
 #[derive(Debug, Serialize)]
 pub(crate) struct Report {
@@ -47,7 +50,7 @@ pub(crate) struct PolicyReport {
     /// What the paper calls it, if it is a rule of the paper in the paper's variant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) paper_method: Option<&'static str>,
-    /// Whether it is the Max-Pressure variant with the lowest trip delay, of several.
+    /// Whether it is the strongest of several Max-Pressure variants.
     pub(crate) strongest_max_pressure: bool,
     /// By [`Metric::key`].
     pub(crate) metrics: BTreeMap<&'static str, Figure>,
@@ -106,7 +109,7 @@ impl ScenarioReport {
             let published = published_variant(&subject.scenario) == policy;
             policies.push(PolicyReport::new(&subject.scenario.name, policy, published, &episodes));
         }
-        mark_strongest(&mut policies);
+        mark_strongest(&mut policies, subject.vehicles);
         let scenario = &subject.scenario;
         Ok(Self {
             scenario: scenario.name.clone(),
@@ -171,15 +174,24 @@ impl PolicyReport {
     }
 }
 
-fn mark_strongest(policies: &mut [PolicyReport]) {
+/// Marks the Max-Pressure variant to beat: the lowest trip delay. That counts the vehicles that got in, so that it only ranks
+/// variants which let in about as many; where they differ, the waiting time of all vehicles ranks them, the time outside in it.
+fn mark_strongest(policies: &mut [PolicyReport], all_vehicles: u64) {
     let variant = |policy: &&mut PolicyReport| {
         RuleBased::MAX_PRESSURE_VARIANTS.iter().any(|rule| rule.name() == policy.policy)
     };
-    let delay = |policy: &PolicyReport| {
-        policy.metrics.get(Metric::TripDelay.key()).map_or(f64::INFINITY, |figure| figure.mean)
-    };
     let mut variants: Vec<_> = policies.iter_mut().filter(variant).collect();
-    variants.sort_by(|a, b| delay(a).total_cmp(&delay(b)));
+    let outside: Vec<_> = variants
+        .iter()
+        .map(|policy| policy.vehicles.get("never_inserted").copied().unwrap_or_default())
+        .collect();
+    let apart = Spread::of(&outside).map_or(0.0, |spread| spread.high - spread.low);
+    let alike = apart <= OUTSIDE_APART * all_vehicles as f64;
+    let ranked_by = if alike { Metric::TripDelay } else { Metric::WaitingTime };
+    let value = |policy: &PolicyReport| {
+        policy.metrics.get(ranked_by.key()).map_or(f64::INFINITY, |figure| figure.mean)
+    };
+    variants.sort_by(|a, b| value(a).total_cmp(&value(b)));
     if let [strongest, _, ..] = variants.as_mut_slice() {
         strongest.strongest_max_pressure = true;
     }
@@ -201,7 +213,7 @@ pub(super) mod tests {
                     PolicyReport::new(name, policy, policy == RuleBased::MaxPressureAll, &episodes)
                 })
                 .collect();
-            mark_strongest(&mut reports);
+            mark_strongest(&mut reports, 1473);
             ScenarioReport {
                 scenario: name.to_owned(),
                 vehicles: 1473,
@@ -260,5 +272,25 @@ pub(super) mod tests {
     fn one_variant_alone_is_not_the_strongest_of_anything() {
         let report = report(&["grid4x4"], &[RuleBased::MaxPressureAll]);
         assert!(!report.scenarios[0].policies[0].strongest_max_pressure);
+    }
+
+    #[test]
+    fn a_variant_that_keeps_vehicles_out_is_not_the_strongest_for_its_low_delay() {
+        let variant = |policy, factor: f64, outside: f64, waiting: f64| {
+            let mut episode = episode(1, factor);
+            episode.vehicles.insert("never_inserted".to_owned(), outside);
+            episode.metrics.get_mut(Metric::WaitingTime.key()).unwrap().mean = waiting;
+            PolicyReport::new("mine", policy, false, &[episode])
+        };
+        let strongest = |outside: f64| {
+            let mut policies = [
+                variant(RuleBased::MaxPressureStopped, 1.0, outside, 9.0),
+                variant(RuleBased::MaxPressureAll, 2.0, 0.0, 8.0),
+            ];
+            mark_strongest(&mut policies, 1000);
+            policies.map(|policy| policy.strongest_max_pressure)
+        };
+        assert_eq!(strongest(10.0), [true, false]);
+        assert_eq!(strongest(11.0), [false, true]);
     }
 }

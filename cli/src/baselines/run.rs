@@ -55,8 +55,15 @@ pub(crate) fn complete(plan: &Plan, store: &Store, home: &SumoHome, workers: usi
         watch,
     };
     std::thread::scope(|scope| {
-        for _ in 0..workers.clamp(1, work.jobs.len()) {
-            scope.spawn(|| work.work());
+        for number in 0..workers.clamp(1, work.jobs.len()) {
+            let builder = std::thread::Builder::new().name(format!("baselines-{number}"));
+            if let Err(error) = builder.spawn_scoped(scope, || work.work()) {
+                // The workers that are there do all of it, if there is any.
+                if number == 0 {
+                    work.refuse(format!("cannot start a thread: {error}; end other programs"));
+                }
+                break;
+            }
         }
     });
     work.progress.clear();
@@ -132,6 +139,10 @@ impl Work<'_> {
     fn fail(&self, job: &Job<'_>, failure: &Failure) {
         let text = format!("{} on {}, seed {}: {failure}", job.policy, job.subject.scenario.name, job.seed);
         say(&format!("failed: {text}"));
+        self.refuse(text);
+    }
+
+    fn refuse(&self, text: String) {
         self.failures.lock().unwrap_or_else(PoisonError::into_inner).push(text);
     }
 }

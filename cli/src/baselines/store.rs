@@ -1,9 +1,10 @@
 //! Finished episodes on disk, one file each, so that nothing is simulated twice.
 //!
 //! `DIR/SCENARIO/POLICY/seed-N.json` appears whole or not at all. It tells what it was made with, and counts only where that
-//! is still so: another net, demand, SUMO, setting or version of this program makes another episode.
+//! is still so: another net, demand, SUMO, setting, version of this program or generation of its figures makes another episode.
 
-use crate::failure::Outcome;
+use crate::failure::{Failure, Outcome};
+use crate::output_file::OutputFile;
 use crate::train::run_dir::write_atomically;
 use anyhow::Context;
 use cross_config::EnvConfig;
@@ -16,9 +17,14 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+/// Generation of the figures. Raise it with every change to the environment, the rules or the metrics after which an episode
+/// may have other figures; then nothing that is stored counts any more.
+const GENERATION: u32 = 1;
+
 /// Everything that an episode's result depends on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Made {
+    generation: u32,
     cross: String,
     sumo: String,
     net: String,
@@ -40,6 +46,7 @@ impl Made {
         seed: u32,
     ) -> Self {
         Self {
+            generation: GENERATION,
             cross: env!("CARGO_PKG_VERSION").to_owned(),
             sumo: sumo_version.to_owned(),
             net: scenario.net_hash.clone(),
@@ -86,6 +93,18 @@ pub(crate) struct Store {
 impl Store {
     pub(crate) fn new(folder: PathBuf) -> Self {
         Self { folder }
+    }
+
+    /// The store in a folder, which is made if it is not there and has to be one that can be written to.
+    pub(crate) fn open(folder: &Path) -> Outcome<Self> {
+        std::fs::create_dir_all(folder).map_err(|error| {
+            Failure::input(format!(
+                "cannot create {}: {error}; name another folder with --out",
+                folder.display()
+            ))
+        })?;
+        OutputFile::prepare(&folder.join("seed-1.json"))?;
+        Ok(Self::new(folder.to_owned()))
     }
 
     /// The folder's path.
@@ -140,6 +159,7 @@ pub(super) mod tests {
 
     fn made(policy: RuleBased, seed: u32) -> Made {
         Made {
+            generation: GENERATION,
             cross: "1".to_owned(),
             sumo: "1.28.0".to_owned(),
             net: "aa".to_owned(),
@@ -181,6 +201,7 @@ pub(super) mod tests {
         assert_eq!(store.load(&made), Some(episode));
         for other in [
             Made { seed: 4, ..made.clone() },
+            Made { generation: GENERATION + 1, ..made.clone() },
             Made { sumo: "1.29.0".to_owned(), ..made.clone() },
             Made { net: "ab".to_owned(), ..made.clone() },
             Made { env: EnvConfig { yellow_seconds: 4, ..EnvConfig::default() }, ..made },

@@ -8,9 +8,9 @@ use crate::baselines::store::Store;
 use crate::evaluate::default_workers;
 use crate::failure::{Failure, OrBadInput, Outcome};
 use crate::output;
+use crate::output_file::OutputFile;
 use crate::sumo::SumoOption;
 use crate::train::progress::say;
-use crate::train::run_dir::write_atomically;
 use clap::Args;
 use cross_config::EnvConfig;
 use cross_sim::controller::RuleBased;
@@ -19,8 +19,9 @@ use std::process::ExitCode;
 
 /// Evaluates the rules on the paper's scenarios, beside its figures and an independent measurement
 ///
-/// Finished episodes are kept in a folder and not simulated again while program, SUMO, settings, net and demand are the same, so
-/// that the command may be stopped and called again. Writes a page of Markdown, the protocol included.
+/// Finished episodes are kept in a folder, so that the command may be stopped and called again. They count while these are the
+/// same: this program's version and generation of figures (raised with every change of simulation, rules or metrics that may
+/// alter one), SUMO's version, settings, net and demand. Writes a page of Markdown, the protocol included.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -58,29 +59,34 @@ pub(crate) struct Baselines {
 
 impl Baselines {
     pub(crate) fn run(&self) -> Outcome<ExitCode> {
+        // Before an hour of work.
+        let markdown = self.markdown.as_deref().map(OutputFile::prepare).transpose()?;
         let home = self.sumo.locate()?;
         let version = home.version().or_bad_input()?;
         let plan = Plan::new(&self.scenarios, &self.policies, self.seeds, EnvConfig::default(), version)?;
         for missing in &plan.missing {
             say(&format!("without {}: {}", missing.scenario, missing.reason));
         }
-        let store = Store::new(self.out.clone());
+        let store = Store::open(&self.out)?;
         let workers = self.workers.map_or_else(default_workers, usize::from);
         if let End::Stopped { left } = complete(&plan, &store, &home, workers)? {
             return Err(Failure::failed(format!(
-                "stopped; {left} episodes are left, and the same command goes on with them"
+                "stopped; {} left, and the same command goes on with {}",
+                if left == 1 { "one episode is".to_owned() } else { format!("{left} episodes are") },
+                if left == 1 { "it" } else { "them" },
             )));
         }
         let report = Report::read(&plan, &store, self.command())?;
         let page = page::render(&report);
-        if let Some(file) = &self.markdown {
-            write_atomically(file, page.as_bytes())?;
+        if let Some(file) = &markdown {
+            file.write(page.as_bytes())?;
         }
-        match &self.markdown {
+        match &markdown {
             _ if self.json => output::json(&report)?,
             Some(file) => {
                 let count = report.scenarios.len();
-                output::text(&format!("{count} scenarios, page: {}", file.display()))?;
+                let plural = if count == 1 { "" } else { "s" };
+                output::text(&format!("{count} scenario{plural}, page: {}", file.path().display()))?;
             }
             None => output::text(&page)?,
         }
@@ -90,9 +96,36 @@ impl Baselines {
     /// The command that makes the same page again.
     fn command(&self) -> String {
         let mut words = vec!["cross baselines".to_owned()];
-        words.extend(self.scenarios.iter().map(|scenario| format!("--scenario {scenario}")));
+        words.extend(self.scenarios.iter().map(|scenario| format!("--scenario {}", quoted(scenario))));
         words.extend(self.policies.iter().map(|policy| format!("--policy {policy}")));
         words.extend(self.seeds.map(|seeds| format!("--seeds {seeds}")));
         words.join(" ")
+    }
+}
+
+/// A word as a shell takes it: in quotes where it has to be.
+fn quoted(word: &str) -> String {
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_./=:@%+,".contains(letter);
+    if !word.is_empty() && word.chars().all(plain) {
+        return word.to_owned();
+    }
+    format!("'{}'", word.replace('\'', r"'\''"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn odd_words_are_quoted_for_the_shell() {
+        for (word, shown) in [
+            ("my/grid-4", "my/grid-4"),
+            ("a b", "'a b'"),
+            ("", "''"),
+            ("$(x)", "'$(x)'"),
+            ("it's", r"'it'\''s'"),
+        ] {
+            assert_eq!(quoted(word), shown);
+        }
     }
 }

@@ -39,7 +39,14 @@ pub(super) struct Entry<'e> {
 impl Entry<'_> {
     /// What the paper calls this policy, were it in it.
     pub(super) fn published_method(&self) -> &str {
-        if self.learned { PUBLISHED_LEARNED } else { self.report.policy.as_str() }
+        let policy = self.report.policy.as_str();
+        let variant = paper::max_pressure_variant(&self.report.scenario);
+        match variant {
+            _ if self.learned => PUBLISHED_LEARNED,
+            // By the full name of the variant, as `cross baselines` and `cross train` evaluate it.
+            Some(variant) if variant.name() == policy => RuleBased::MaxPressure.name(),
+            _ => policy,
+        }
     }
 
     /// The published figure that this one may be held against: of the same policy, under the same rules.
