@@ -15,8 +15,8 @@ use cross_proto::v1;
 use cross_sim::SimError;
 use cross_sim::layout::{NetworkLayout, load_layout};
 use cross_sim::scenario::ScenarioPath;
-use cross_support::admin;
 use cross_support::server::{Protocol, ServerSecurity};
+use cross_support::{admin, open_files};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -120,6 +120,20 @@ pub fn find_checkpoint(run: &Path, config: &Config) -> Result<Option<Resumed>, C
     reader::resume(run, &config.compatibility_hash())
 }
 
+/// The connections that the operating system leaves room for, of those wanted.
+fn places(wanted: usize) -> usize {
+    let limit = open_files::most();
+    let connections = open_files::connections(wanted, limit);
+    if connections < wanted {
+        let files = limit.unwrap_or_default();
+        tracing::warn!(
+            "this process may have {files} open files, which leaves room for {connections} connections and not for \
+             learner.max_connections = {wanted}; raise the hard limit (ulimit -Hn, LimitNOFILE) or lower the key"
+        );
+    }
+    connections
+}
+
 impl Learner {
     /// Starts everything. The learner serves once [`ready`](Self::ready) returns.
     ///
@@ -142,7 +156,7 @@ impl Learner {
         let log = MetricsLog::open(&run, progress.updates)
             .map_err(|source| StartError::MetricsLog { path: run.join(crate::metrics_log::FILE), source })?;
 
-        let connections = config.learner.max_connections;
+        let connections = places(config.learner.max_connections);
         let grpc = security.incoming(grpc, Protocol::Grpc, connections).map_err(StartError::Socket)?;
         let metrics =
             security.incoming(metrics, Protocol::Http, admin::CONNECTIONS).map_err(StartError::Socket)?;

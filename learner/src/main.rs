@@ -49,6 +49,7 @@ fn main() -> ExitCode {
         Ok(runtime) => runtime,
         Err(error) => return end(&options, &Failure::Other(error.into())),
     };
+    cross_support::open_files::raise();
     let result = runtime.block_on(run(&options));
     // What still runs now is a client's idle connection or a thread that is past its deadline.
     runtime.shutdown_timeout(Duration::from_millis(200));

@@ -18,7 +18,7 @@ pub enum SecurityError {
     /// A secret that is none.
     #[error(
         "every user of this machine may read or change {}, given with {option} (mode {mode:04o}); \
-         a secret is its owner's: chmod o-rwx {}", path.display(), path.display()
+         a secret is for its owner and group: chmod o-rwx {}", path.display(), path.display()
     )]
     Permissions {
         /// The option that names the file.

@@ -56,7 +56,7 @@ pub struct ClientOptions {
 /// Where the token is.
 #[derive(Debug, Clone, Default, Args)]
 pub struct TokenOption {
-    /// File of the token that calls must carry, readable by its owner alone; the variable CROSS_TOKEN may hold it instead
+    /// File of the token that calls must carry, closed to others than its owner and group; the variable CROSS_TOKEN may hold it instead
     #[arg(long, value_name = "FILE", env = "CROSS_TOKEN_FILE", help_heading = "Security (docs/security.md)")]
     pub token_file: Option<PathBuf>,
 }
