@@ -5,10 +5,11 @@ use crate::output;
 use crate::sumo::SumoOption;
 use crate::train::sibling;
 use clap::Args;
-use cross_config::Config;
+use cross_config::{Config, LearnerConfig};
 use cross_model::Abilities;
 use cross_sim::layout::load_layout;
 use cross_sim::scenario::{self, Scenario};
+use cross_support::open_files;
 use cross_traci::sumo::{Sumo, SumoCommand, SumoHome};
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -37,7 +38,7 @@ pub(crate) struct Doctor {
 const MEMORY_WANTED: u64 = 2 << 30;
 /// Disk space that a few runs take.
 const DISK_WANTED: u64 = 1 << 30;
-/// Open files that a handful of actors take.
+/// Open files that a learner with a few hundred connections takes.
 const FILES_WANTED: u64 = 512;
 /// For SUMO to start and answer.
 const SUMO_TIMEOUT: Duration = Duration::from_secs(30);
@@ -96,7 +97,7 @@ impl Doctor {
         checks.push(cores());
         checks.extend(memory());
         checks.extend(disk());
-        checks.extend(open_files());
+        checks.push(open_files());
         let report = Report { ok: checks.iter().all(|check| check.status != Status::Failed), checks };
         if self.json {
             output::json(&report)?;
@@ -280,12 +281,24 @@ fn disk() -> Option<Check> {
     Some(Check::warn_unless(bytes >= DISK_WANTED, "disk", format!("{} free here", gib(bytes)), remedy))
 }
 
-fn open_files() -> Option<Check> {
-    let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
-    // None means no limit.
+fn open_files() -> Check {
+    // A learner raises its own limit so far. None means no limit.
+    let limit = open_files::attainable();
     let holds = limit.is_none_or(|limit| limit >= FILES_WANTED);
-    let detail = limit.map_or_else(|| "no limit".to_owned(), |limit| format!("at most {limit}"));
-    Some(Check::warn_unless(holds, "open files", detail, "raise the limit: ulimit -n 4096"))
+    let wanted = LearnerConfig::default().max_connections;
+    let detail = limit.map_or_else(
+        || "no limit".to_owned(),
+        |limit| {
+            let connections = open_files::connections(wanted, Some(limit));
+            format!("a process may have {limit}, a learner {connections} of {wanted} connections")
+        },
+    );
+    Check::warn_unless(
+        holds,
+        "open files",
+        detail,
+        "raise the hard limit: ulimit -Hn 8192 as root, or LimitNOFILE=",
+    )
 }
 
 fn gib(bytes: u64) -> String {
