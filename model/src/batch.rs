@@ -34,6 +34,8 @@ pub struct Group {
     pub first_sample: i64,
     /// Index of the first row.
     pub first_row: i64,
+    /// In the form `paper`, columns of the padded state that any of its agents uses; else 0.
+    pub columns: i64,
 }
 
 /// Network inputs, by form.
@@ -112,9 +114,16 @@ impl Batch {
         let (mut first_sample, mut first_row) = (0, 0);
         for sequence in &sorted {
             let phases = phases_of(sequence) as i64;
+            let columns = match sequence.network.gfe {
+                Gfe::Paper => sequence.network.agents[sequence.agent].state_entries() as i64,
+                Gfe::Movement => 0,
+            };
             match groups.last_mut() {
-                Some(group) if group.phases == phases => group.samples += steps as i64,
-                _ => groups.push(Group { phases, samples: steps as i64, first_sample, first_row }),
+                Some(group) if group.phases == phases => {
+                    group.samples += steps as i64;
+                    group.columns = group.columns.max(columns);
+                }
+                _ => groups.push(Group { phases, samples: steps as i64, first_sample, first_row, columns }),
             }
             first_sample += steps as i64;
             first_row += steps as i64 * phases;
@@ -255,6 +264,13 @@ impl Batch {
             }
         }
         Tensor::from_slice(&rows)
+    }
+
+    /// Of numbers for every padded state entry `[samples, movements * 5]`, those that some movement of the group has: a
+    /// view for each group. What is padded there costs nothing.
+    pub(crate) fn real_columns(&self, padded: &Tensor) -> Vec<Tensor> {
+        let groups = self.groups.iter().zip(padded.split_with_sizes(self.group_samples(), 0));
+        groups.map(|(group, own)| own.narrow(1, 0, group.columns)).collect()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::batch::{Batch, Inputs};
 use crate::features::FeatureSizes;
-use crate::net::{Forward, Net};
+use crate::net::{Forward, Net, PccOutput};
 use cross_config::{ModelConfig, PpoConfig};
 use tch::{Device, Kind, Tensor};
 
@@ -131,12 +131,16 @@ fn add_auxiliary(
         terms.push((name, term));
     };
     if let Some(pcc) = &forward.pcc {
-        if let Some(predicted) = net.predict(pcc, batch, &targets.chosen_rows) {
-            add("prediction", ppo.prediction, prediction(&predicted, batch, targets));
+        if let Some(prediction) = prediction(net, pcc, batch, targets) {
+            add("prediction", ppo.prediction, prediction);
         }
         let target =
             if model.detach_contrastive_target { pcc.weights.detach() } else { pcc.weights.shallow_clone() };
-        let log_assignment = (&pcc.similarity / model.tau_c).log_softmax(-1, Kind::Float);
+        let log_assignment = if model.tau_c == model.tau_k {
+            pcc.log_weights.shallow_clone()
+        } else {
+            (&pcc.similarity / model.tau_c).log_softmax(-1, Kind::Float)
+        };
         let contrastive =
             -(target * log_assignment).sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float);
         add("contrastive", ppo.clustering, contrastive);
@@ -156,14 +160,26 @@ fn add_auxiliary(
 }
 
 /// Mean square error over real entries of samples that have a next step.
-fn prediction(predicted: &Tensor, batch: &Batch, targets: &Targets) -> Tensor {
-    let error = predicted - &targets.next;
-    let square = &error * &error;
-    let mask = match &batch.inputs {
-        Inputs::Paper(paper) => &paper.real * targets.has_next.unsqueeze(1),
-        Inputs::Movement(_) => targets.has_next.unsqueeze(1).expand_as(&square),
+fn prediction(net: &Net, pcc: &PccOutput, batch: &Batch, targets: &Targets) -> Option<Tensor> {
+    let square_sum = |error: &Tensor, mask: &Tensor| (error * error * mask).sum(Kind::Float);
+    let has_next = targets.has_next.unsqueeze(1);
+    let (sum, count) = match &batch.inputs {
+        Inputs::Paper(paper) => {
+            let mask = &paper.real * has_next;
+            let (next, masks) = (batch.real_columns(&targets.next), batch.real_columns(&mask));
+            let predicted = net.predict_real(pcc, batch, &targets.chosen_rows)?;
+            let groups = predicted.iter().zip(&next).zip(&masks);
+            let sums: Vec<_> =
+                groups.map(|((predicted, next), mask)| square_sum(&(predicted - next), mask)).collect();
+            (Tensor::stack(&sums, 0).sum(Kind::Float), mask.sum(Kind::Float))
+        }
+        Inputs::Movement(_) => {
+            let predicted = net.predict(pcc, batch, &targets.chosen_rows)?;
+            let width = predicted.size()[1] as f64;
+            (square_sum(&(predicted - &targets.next), &has_next), has_next.sum(Kind::Float) * width)
+        }
     };
-    (square * &mask).sum(Kind::Float) / mask.sum(Kind::Float).clamp_min(1.0)
+    Some(sum / count.clamp_min(1.0))
 }
 
 fn entropy_of(distribution: &Tensor) -> Tensor {

@@ -100,8 +100,14 @@ impl GfeNet {
     }
 
     pub(super) fn recurrent(&self, batch: &Batch, state: &Tensor) -> Recurrent {
-        let (phases, state_input) = match &batch.inputs {
-            Inputs::Paper(paper) => (self.phase.forward(&paper.phase_states), paper.states.shallow_clone()),
+        let (phases, e) = match &batch.inputs {
+            Inputs::Paper(paper) => {
+                let (first, own) = (self.state.first(), batch.real_columns(&paper.states));
+                let groups = batch.groups.iter().zip(&own);
+                let hidden = groups.map(|(group, own)| first.first_columns(group.columns).forward(own));
+                let e = self.state.second().forward(&join(hidden.collect()).relu_());
+                (self.phase.forward(&paper.phase_states), e)
+            }
             Inputs::Movement(movement) => {
                 let phases = self.phase.forward(&movement.phases);
                 // Split and not narrowed: going backward, every narrowing fills a tensor as large as the whole.
@@ -110,11 +116,10 @@ impl GfeNet {
                     let own = own.view([group.samples, group.phases, self.hidden]);
                     Tensor::cat(&[own.mean_dim(1, false, Kind::Float), own.amax(1, false)], 1)
                 });
-                let pooled = join(pooled.collect());
-                (phases, pooled)
+                let e = self.state.forward(&join(pooled.collect()));
+                (phases, e)
             }
         };
-        let e = self.state.forward(&state_input);
         let sequences = e.view([batch.sequences, batch.steps, self.hidden]);
         let states = self.gru.forward(&sequences, state);
         let h_s = e + states.reshape([-1, self.hidden]);

@@ -59,7 +59,8 @@ impl Linear {
 
     /// Several layers of the same input side by side.
     pub(super) fn beside<'a>(layers: &(impl Iterator<Item = &'a Self> + Clone)) -> Self {
-        let parts = |part: fn(&Self) -> &Tensor| Tensor::cat(&layers.clone().map(part).collect::<Vec<_>>(), 0);
+        let parts =
+            |part: fn(&Self) -> &Tensor| Tensor::cat(&layers.clone().map(part).collect::<Vec<_>>(), 0);
         let product_kind = layers.clone().next().and_then(|layer| layer.product_kind);
         Self { weight: parts(Self::weight), bias: parts(Self::bias), product_kind }
     }
@@ -67,6 +68,12 @@ impl Linear {
     /// The first `inputs` columns, as a layer of these alone.
     pub(super) fn first_columns(&self, inputs: i64) -> Self {
         let (weight, bias) = (self.weight.narrow(1, 0, inputs), self.bias.shallow_clone());
+        Self { weight, bias, product_kind: self.product_kind }
+    }
+
+    /// The first `outputs` rows, as a layer of these alone.
+    pub(super) fn first_rows(&self, outputs: i64) -> Self {
+        let (weight, bias) = (self.weight.narrow(0, 0, outputs), self.bias.narrow(0, 0, outputs));
         Self { weight, bias, product_kind: self.product_kind }
     }
 
@@ -115,6 +122,11 @@ impl Projection {
 
     pub(super) fn forward(&self, x: &Tensor) -> Tensor {
         product(x, &self.weight, None, self.product_kind)
+    }
+
+    /// The first `inputs` columns, as a layer of these alone.
+    pub(super) fn first_columns(&self, inputs: i64) -> Self {
+        Self { weight: self.weight.narrow(1, 0, inputs), product_kind: self.product_kind }
     }
 
     /// `[outputs, inputs]`.

@@ -157,6 +157,16 @@ impl Net {
     pub fn predict(&self, pcc: &PccOutput, batch: &Batch, chosen_rows: &Tensor) -> Option<Tensor> {
         self.pcc.as_ref().map(|module| module.predict(pcc, batch, chosen_rows))
     }
+
+    /// The same in the form `paper`, an entry for each group, of the state's columns that are not padding in all of it.
+    pub(crate) fn predict_real(
+        &self,
+        pcc: &PccOutput,
+        batch: &Batch,
+        chosen_rows: &Tensor,
+    ) -> Option<Vec<Tensor>> {
+        self.pcc.as_ref().map(|module| module.predict_real(pcc, batch, chosen_rows))
+    }
 }
 
 /// Parts one below the other; a single one as it is.

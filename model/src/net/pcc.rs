@@ -21,6 +21,8 @@ pub struct PccOutput {
     pub similarity: Tensor,
     /// Soft assignment `[rows, clusters]`.
     pub weights: Tensor,
+    /// Its logarithm `[rows, clusters]`.
+    pub log_weights: Tensor,
 }
 
 #[derive(Debug)]
@@ -65,22 +67,30 @@ impl Pcc {
         // Divided by their length after the product: six numbers instead of the whole row.
         let length = phi.norm_scalaropt_dim(2, [1i64].as_slice(), true);
         let similarity = phi.matmul(&unit_rows(&self.centres).transpose(0, 1)) / length.clamp_min(1e-6);
-        let weights = (&similarity / self.tau_k).softmax(-1, Kind::Float);
-        PccOutput { hidden, similarity, weights }
+        let log_weights = (&similarity / self.tau_k).log_softmax(-1, Kind::Float);
+        PccOutput { hidden, similarity, weights: log_weights.exp(), log_weights }
     }
 
     /// The gated unit on `[S, G^p, I]`, group by group, so that what phases or steps share is added without being copied.
     fn hidden(&self, batch: &Batch) -> Vec<Tensor> {
-        let (state, static_phases) = match &batch.inputs {
+        let (states, static_phases) = match &batch.inputs {
             Inputs::Paper(paper) => {
-                (self.state.forward(&paper.states), Some(self.phase.forward(&paper.phase_states)))
+                let own = batch.real_columns(&paper.states);
+                let groups = batch.groups.iter().zip(&own);
+                let states = groups.map(|(group, own)| self.state.first_columns(group.columns).forward(own));
+                (states.collect::<Vec<_>>(), Some(self.phase.forward(&paper.phase_states)))
             }
-            Inputs::Movement(movement) => (self.state.forward(&movement.context), None),
+            Inputs::Movement(movement) => {
+                let states = self.state.forward(&movement.context);
+                (states.split_with_sizes(batch.group_samples(), 0), None)
+            }
         };
         // Topology is constant in time: one row per sequence, added at each of its steps.
         let topology = self.topology.forward(&batch.topology).unsqueeze(1);
-        let base = state.view([batch.sequences, batch.steps, -1]) + topology;
-        let bases = base.split_with_sizes(batch.group_sequences(), 0);
+        let topology = topology.split_with_sizes(batch.group_sequences(), 0);
+        let bases = states.iter().zip(&topology).map(|(state, topology)| {
+            state.view([topology.size()[0], batch.steps, topology.size()[2]]) + topology
+        });
         let phases: Vec<Tensor> = match (&batch.inputs, static_phases) {
             (Inputs::Movement(movement), _) => {
                 let own = movement.phases.split_with_sizes(batch.group_rows(), 0);
@@ -110,12 +120,29 @@ impl Pcc {
         &self.centres
     }
 
-    /// The prediction from one row of each sample.
-    pub(super) fn predict(&self, output: &PccOutput, batch: &Batch, chosen_rows: &Tensor) -> Tensor {
+    /// The latent z of one row of each sample `[samples, latent]`.
+    fn chosen_latent(&self, output: &PccOutput, batch: &Batch, chosen_rows: &Tensor) -> Tensor {
         let chosen = chosen_rows.split_with_sizes(batch.group_samples(), 0);
         let groups = batch.groups.iter().zip(&output.hidden).zip(chosen);
         let hidden = groups.map(|((group, hidden), rows)| hidden.index_select(0, &(rows - group.first_row)));
-        self.predict.forward(&self.second.forward(&join(hidden.collect())))
+        self.second.forward(&join(hidden.collect()))
+    }
+
+    /// The prediction from one row of each sample `[samples, target]`.
+    pub(super) fn predict(&self, output: &PccOutput, batch: &Batch, chosen_rows: &Tensor) -> Tensor {
+        self.predict.forward(&self.chosen_latent(output, batch, chosen_rows))
+    }
+
+    /// The same in the form `paper`, group by group, of the columns that some movement of the group has.
+    pub(super) fn predict_real(
+        &self,
+        output: &PccOutput,
+        batch: &Batch,
+        chosen_rows: &Tensor,
+    ) -> Vec<Tensor> {
+        let latent = self.chosen_latent(output, batch, chosen_rows);
+        let groups = batch.groups.iter().zip(latent.split_with_sizes(batch.group_samples(), 0));
+        groups.map(|(group, own)| self.predict.first_rows(group.columns).forward(&own)).collect()
     }
 }
 
