@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use cross_sim::scenario::{Scenario, ScenarioError, ScenarioPath};
+use proptest::prelude::*;
 use std::path::Path;
 
 const NET: &str = "<net/>";
@@ -99,4 +100,52 @@ fn an_unknown_name_lists_the_known_ones() {
         assert!(Scenario::load(odd).is_err(), "{odd:?}");
     }
     assert!(matches!(Scenario::from_directory(Path::new("/nowhere")), Err(ScenarioError::Read { .. })));
+}
+
+/// A whole definition with every table that there is.
+const WHOLE: &str = include_str!("../../scenarios/grid4x4/scenario.toml");
+
+/// Lines left out, doubled or out of place, and values of all kinds where others belong.
+fn damaged_definition() -> impl Strategy<Value = String> {
+    let line = prop_oneof![
+        prop::sample::select(WHOLE.lines().chain(DEFINITION.lines()).collect::<Vec<_>>())
+            .prop_map(str::to_owned),
+        "[a-z_.]{1,12} = (-?[0-9]{1,20}|[0-9]e[0-9]{1,3}|nan|inf|true|\"[^\"\\\\]{0,12}\"|\\[\\]|\\{\\})",
+        prop::sample::select(vec!["begin", "end", "net", "routes", "time_to_teleport", "depart_lane"])
+            .prop_flat_map(|key| prop::sample::select(vec![
+                "-1",
+                "nan",
+                "1e999",
+                "99999999999999999999",
+                "\"\"",
+                "[]",
+                "[\"\"]",
+                "\"@deps/../..\""
+            ])
+            .prop_map(move |value| format!("{key} = {value}"))),
+        any::<String>(),
+    ];
+    prop::collection::vec(line, 0..12).prop_map(|lines| lines.join("\n"))
+}
+
+proptest! {
+    #[test]
+    fn whatever_a_definition_says_loading_ends_with_a_scenario_or_a_sentence(text in damaged_definition()) {
+        if let Err(error) = load(&text) {
+            let message = error.to_string();
+            prop_assert!(!message.is_empty() && !message.contains('\n'), "{message:?}");
+        }
+    }
+
+    #[test]
+    fn a_definition_whose_lines_are_cut_or_gone_ends_likewise(gone in prop::collection::vec(any::<prop::sample::Index>(), 1..4), cut in 0..20_usize) {
+        let mut lines: Vec<&str> = WHOLE.lines().collect();
+        for index in gone {
+            let at = index.index(lines.len());
+            lines[at] = lines[at].get(..cut).unwrap_or_default();
+        }
+        if let Err(error) = load(&lines.join("\n")) {
+            prop_assert!(!error.to_string().contains('\n'), "{error}");
+        }
+    }
 }

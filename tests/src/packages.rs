@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::path::PathBuf;
 
 /// Set by `.ci/run`: there, a test that cannot run is a failure.
-const REQUIRE: &str = "CROSS_TESTS_REQUIRE_PACKAGES";
+pub const REQUIRE: &str = "CROSS_TESTS_REQUIRE_PACKAGES";
 
 /// Finds a program on PATH; says what was skipped and how to get it if it is not there.
 ///
