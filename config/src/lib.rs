@@ -89,11 +89,7 @@ impl Config {
 
     fn parse_toml(text: &str, origin: &str) -> Result<Self, ConfigError> {
         toml::from_str(text).map_err(|source| {
-            let before = source.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
-            let line = before.lines().count() + usize::from(before.is_empty() || before.ends_with('\n'));
-            // The parser's own display spreads over five lines and draws; people get one sentence.
-            let written = text.lines().nth(line.saturating_sub(1)).unwrap_or_default().trim();
-            let message = format!("line {line}, `{written}`: {}", source.message().trim_end());
+            let message = toml_problem(text, &source);
             ConfigError::Parse { origin: origin.to_owned(), message }
         })
     }
@@ -173,6 +169,19 @@ impl Config {
         }
         Ok(())
     }
+}
+
+/// What is wrong with a TOML text, and in which line, in one line; the parser's own display spreads over five and draws.
+#[must_use]
+pub fn toml_problem(text: &str, error: &toml::de::Error) -> String {
+    let what = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+    // A key that is missing is missing in no line.
+    let span = error.span().filter(|_| !what.starts_with("missing field"));
+    let Some(before) = span.and_then(|span| text.get(..span.start)) else { return what };
+    let line = before.lines().count() + usize::from(before.is_empty() || before.ends_with('\n'));
+    let written = text.lines().nth(line.saturating_sub(1)).unwrap_or_default();
+    let written: String = written.trim().chars().filter(|letter| !letter.is_control()).collect();
+    if written.is_empty() { what } else { format!("line {line}, `{written}`: {what}") }
 }
 
 fn read(path: &Path) -> Result<String, ConfigError> {

@@ -73,7 +73,8 @@ impl Scenario {
         let text = std::fs::read_to_string(&path)
             .map_err(|source| ScenarioError::Read { path: path.clone(), source })?;
         let wrong = |message: String| ScenarioError::Parse { path: path.clone(), message };
-        let definition: Definition = toml::from_str(&text).map_err(|error| wrong(error.to_string()))?;
+        let definition: Definition =
+            toml::from_str(&text).map_err(|error| wrong(cross_config::toml_problem(&text, &error)))?;
         let name = match definition.name {
             Some(name) => name,
             None => directory_name(directory).ok_or_else(|| {
