@@ -81,7 +81,7 @@ Exit codes:
   1 anything else
 
 Examples:
-  cross-learner --config configs/default.toml --run runs/first
+  cross-learner --config configs/paper.toml --run runs/first
   cross-learner --config runs/first/config.toml --run runs/first --resume
   cross-learner --config c.toml --run r --listen 0.0.0.0:7400 --metrics-listen 0.0.0.0:7401 \
       --tls-cert learner.pem --tls-key learner.key --token-file token

@@ -72,7 +72,7 @@ impl Checkpoint {
             Some(path) if path.is_dir() => Ok(path.clone()),
             Some(path) => Err(Failure::input(format!("there is no run directory {}", path.display()))),
             None => newest(Path::new(RUNS)).ok_or_else(|| {
-                Failure::input(format!("there is no run under {RUNS}/; name one with --run DIR"))
+                Failure::input(format!("there is no run under {RUNS}/ in this folder; go where you trained, or name one with --run DIR"))
             }),
         }
     }

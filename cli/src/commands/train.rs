@@ -40,7 +40,7 @@ pub(crate) struct Train {
     /// Scenario to train on: a name or a directory; repeat it to train on several together [default: grid4x4]
     #[arg(long = "scenario", value_name = "NAME")]
     scenarios: Vec<String>,
-    /// Updates of the whole run, those before a --resume included [default: 100]
+    /// Updates of the whole run, those before a --resume included [default: 60, or the configuration's]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     updates: Option<u64>,
     /// Actor processes, each with a SUMO of its own [default: one per core, at least 2; 1 with --serial]

@@ -59,7 +59,7 @@ impl RunDir {
         let path = match given {
             Some(path) => path.to_owned(),
             None => newest(Path::new(RUNS)).ok_or_else(|| {
-                Failure::input(format!("there is no run under {RUNS}/ to resume; name one with --run DIR"))
+                Failure::input(format!("there is no run under {RUNS}/ in this folder to resume; go where you trained, or name one with --run DIR"))
             })?,
         };
         if !holds_run(&path) {
