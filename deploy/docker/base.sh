@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Makes a base image from Debian's packages, for machines that reach no container registry: deploy/docker/base.sh IMAGE
-# Needs root, debootstrap and docker. DEBIAN_MIRROR names another mirror.
+# Needs root, debootstrap and docker. DEBIAN_MIRROR names a mirror other than debootstrap's own.
 set -euo pipefail
 if [ $# -ne 1 ]; then
     echo "usage: deploy/docker/base.sh IMAGE" >&2
@@ -8,7 +8,7 @@ if [ $# -ne 1 ]; then
 fi
 folder="$(mktemp -d)"
 trap 'rm -rf "$folder"' EXIT
-debootstrap --variant=minbase bookworm "$folder/root" "${DEBIAN_MIRROR:-http://deb.debian.org/debian}" >"$folder/log" 2>&1 || {
+debootstrap --variant=minbase bookworm "$folder/root" ${DEBIAN_MIRROR:+"$DEBIAN_MIRROR"} >"$folder/log" 2>&1 || {
     echo "error: debootstrap failed; the end of its log:" >&2
     tail -n 5 "$folder/log" >&2
     exit 1

@@ -31,20 +31,20 @@ pub(super) trait Work {
 
 impl Isa {
     /// The sets that this processor has, the fastest last.
+    #[cfg(target_arch = "x86_64")]
     pub(crate) fn available() -> Vec<Self> {
-        #[allow(unused_mut, reason = "other architectures have the generic one alone")]
-        let mut sets = vec![Self::Generic];
-        #[cfg(target_arch = "x86_64")]
-        {
-            let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
-            if avx2 {
-                sets.push(Self::Avx2(Has(())));
-            }
-            if avx2 && is_x86_feature_detected!("avx512f") {
-                sets.push(Self::Avx512(Has(())));
-            }
+        let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+        match (avx2, is_x86_feature_detected!("avx512f")) {
+            (false, _) => vec![Self::Generic],
+            (true, false) => vec![Self::Generic, Self::Avx2(Has(()))],
+            (true, true) => vec![Self::Generic, Self::Avx2(Has(())), Self::Avx512(Has(()))],
         }
-        sets
+    }
+
+    /// The sets that this processor has: on other architectures one alone.
+    #[cfg(not(target_arch = "x86_64"))]
+    pub(crate) fn available() -> Vec<Self> {
+        vec![Self::Generic]
     }
 
     /// The fastest set that this processor has.
