@@ -143,11 +143,12 @@ fn compare(name: &str, config: &Config, role: Role, net: &Net, minibatch: &Minib
     zero_gradients(net.params());
     let state = if role == Role::Actor { &minibatch.actor_state } else { &minibatch.critic_state };
     let forward = net.forward(batch, state);
-    let Loss { total, terms } = match role {
+    let loss = match role {
         Role::Actor => losses::actor(net, &forward, batch, targets, model, ppo, ppo.entropy).0,
         Role::Critic => losses::critic(net, &forward, batch, targets, model, ppo),
     };
-    total.backward();
+    loss.backward().unwrap();
+    let (total, terms) = (loss.total(), &loss.terms);
     let packed_gradients = gradients(net);
 
     zero_gradients(net.params());
@@ -167,7 +168,7 @@ fn compare(name: &str, config: &Config, role: Role, net: &Net, minibatch: &Minib
     assert_close(&forward.scores, &scores, 1e-4, 1e-6, &format!("{name}: scores"));
     assert_close(&total, &plain_total, 1e-4, 0.1, &format!("{name}: total"));
     let names = |terms: &[(&'static str, Tensor)]| terms.iter().map(|term| term.0).collect::<Vec<_>>();
-    assert_eq!(names(&terms), names(&plain_terms), "{name}");
+    assert_eq!(names(terms), names(&plain_terms), "{name}");
     for ((term, ours), (_, theirs)) in terms.iter().zip(&plain_terms) {
         assert_close(ours, theirs, 1e-4, 0.1, &format!("{name}: {term}"));
     }

@@ -25,6 +25,7 @@ pub mod rounds;
 pub mod snapshot;
 pub mod stats;
 pub mod trainer;
+mod vector;
 
 pub use error::ModelError;
 pub use placement::{Abilities, Placement};

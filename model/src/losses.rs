@@ -2,9 +2,9 @@
 
 use crate::batch::{Batch, Inputs};
 use crate::features::FeatureSizes;
-use crate::net::{Forward, Net, PccOutput};
+use crate::net::{Forward, Net, PccOutput, WayBack};
 use cross_config::{ModelConfig, PpoConfig};
-use tch::{Device, Kind, Tensor};
+use tch::{Device, Kind, TchError, Tensor};
 
 /// What a minibatch should fit, in packed sample order.
 #[derive(Debug)]
@@ -41,10 +41,25 @@ impl Targets {
 /// One network's loss.
 #[derive(Debug)]
 pub struct Loss {
-    /// What is minimised.
-    pub total: Tensor,
     /// Every term before its weight, by name.
     pub terms: Vec<(&'static str, Tensor)>,
+    total: Tensor,
+    way_back: WayBack,
+}
+
+impl Loss {
+    /// What is minimised: the terms' weighted sum, without a graph.
+    pub fn total(&self) -> Tensor {
+        self.total.detach()
+    }
+
+    /// Leaves gradients at all parameters of the network. Once for each loss.
+    ///
+    /// # Errors
+    /// libtorch's.
+    pub fn backward(&self) -> Result<(), TchError> {
+        self.way_back.descend_from(&self.total)
+    }
 }
 
 /// How far the policy is from the one that collected, sample by sample `[samples]`, without gradients. Their means over
@@ -86,7 +101,7 @@ pub fn actor(
     let mut total = &policy - &entropy * entropy_weight;
     let mut terms = vec![("policy", policy), ("entropy", entropy)];
     add_auxiliary(net, forward, batch, targets, model, ppo, &mut total, &mut terms);
-    (Loss { total, terms }, diagnostics)
+    (Loss { terms, total, way_back: forward.way_back() }, diagnostics)
 }
 
 /// The critic's loss.
@@ -104,7 +119,7 @@ pub fn critic(
     let mut total = &value * ppo.value;
     let mut terms = vec![("value", value)];
     add_auxiliary(net, forward, batch, targets, model, ppo, &mut total, &mut terms);
-    Loss { total, terms }
+    Loss { terms, total, way_back: forward.way_back() }
 }
 
 /// Values `[samples]`: mean of the critic's scores over each junction's phases.

@@ -2,9 +2,10 @@
 
 use crate::error::ModelError;
 use crate::features::{FeatureSizes, NetworkSpec, Track};
-use crate::inference::{Actor, ActorWork, Constant, Critic, CriticWork, Isa};
+use crate::inference::{Actor, ActorWork, Constant, Critic, CriticWork};
 use crate::net::{Net, Role};
 use crate::snapshot::{self, PolicyMetadata};
+use crate::vector::Isa;
 use cross_config::{EnvConfig, ModelConfig};
 use cross_sim::layout::NetworkLayout;
 use cross_sim::trajectory::{Observation, RecurrentState};

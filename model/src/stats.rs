@@ -74,7 +74,7 @@ impl Means {
 
     /// All terms of a network's loss, read back together.
     pub(crate) fn add_loss(&mut self, network: &str, loss: &Loss) {
-        let all: Vec<Tensor> = std::iter::once(&loss.total)
+        let all: Vec<Tensor> = std::iter::once(&loss.total())
             .chain(loss.terms.iter().map(|(_, term)| term))
             .map(Tensor::detach)
             .collect();

@@ -307,10 +307,10 @@ fn descend(
     max_norm: f64,
     what: &'static str,
 ) -> Result<f64, ModelError> {
-    if !loss.total.double_value(&[]).is_finite() {
+    if !loss.total().double_value(&[]).is_finite() {
         return Err(ModelError::NotFinite(what));
     }
-    loss.total.f_backward()?;
+    loss.backward()?;
     let norm = adam.step(net.params(), lr, max_norm);
     if norm.is_finite() { Ok(norm) } else { Err(ModelError::NotFinite(what)) }
 }

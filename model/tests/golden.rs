@@ -128,10 +128,10 @@ fn forward_losses_gradients_and_adam_are_the_references() {
                 zero_gradients(net.params());
                 let forward = net.forward(&learning.minibatch.batch, learning.state(role));
                 let loss = loss(role, net, &forward, &fixture, &learning);
-                loss.total.backward();
+                loss.backward().unwrap();
                 let key = format!("loss/{}/totals", role.name());
                 let of = format!("{name} {key} step {step}");
-                let total = loss.total.double_value(&[]);
+                let total = loss.total().double_value(&[]);
                 report.scalar("total loss", &of, total, flat(&fixture.tensors[&key])[step]);
                 if step == 0 {
                     compare_forward(&fixture, &learning, (role, net), &forward, &mut report);

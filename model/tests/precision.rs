@@ -53,9 +53,9 @@ fn pass(config: &Config, role: Role, placement: Placement, minibatch: &Minibatch
                 losses::values(batch, &forward),
             ),
         };
-        loss.total.backward();
+        loss.backward().unwrap();
         seconds = seconds.min(begun.elapsed().as_secs_f64());
-        result = Some((loss.total.double_value(&[]), output.detach()));
+        result = Some((loss.total().double_value(&[]), output.detach()));
     }
     let (loss, output) = result.unwrap();
     let gradients: Vec<Tensor> = net

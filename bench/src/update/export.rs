@@ -52,7 +52,7 @@ pub fn export(form: Gfe, directory: &Path, progress: Progress<'_>) -> Result<(),
                 let forward = actor.forward(batch, &packed.actor_state);
                 let loss = losses::actor(&actor, &forward, batch, targets, model, ppo, ppo.entropy).0;
                 let forward = critic.forward(batch, &packed.critic_state);
-                (loss.total, losses::critic(&critic, &forward, batch, targets, model, ppo).total)
+                (loss.total(), losses::critic(&critic, &forward, batch, targets, model, ppo).total())
             });
             tensors.extend([("0/actor_loss".to_owned(), actors), ("0/critic_loss".to_owned(), critics)]);
         }

@@ -1,12 +1,11 @@
 //! General feature extraction for one observation; the same as the training's `net::gfe`.
 
-use super::dense::{Dense, Mlp};
-use super::isa::{Isa, Work};
 use super::lanes::LaneAttention;
-use super::math::{sigmoid, tanh};
-use super::weights::{Matrix, Weights};
+use super::weights::Weights;
 use crate::error::ModelError;
 use crate::features::{NetworkSpec, Track};
+use crate::vector::math::{sigmoid, tanh};
+use crate::vector::{Dense, Isa, Matrix, Mlp, Work};
 use cross_config::{Gfe, ModelConfig};
 
 /// The path that carries the recurrent state: all that acting needs of the critic.

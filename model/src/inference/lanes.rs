@@ -2,13 +2,12 @@
 //!
 //! A lane has few features, so that scores and sums are taken over these and projected afterwards.
 
-use super::dense::Dense;
-use super::isa::{Isa, Work};
-use super::math::{dot, fma, softmax};
 use super::norm::Norm;
-use super::weights::{Matrix, Weights};
+use super::weights::Weights;
 use crate::error::ModelError;
 use crate::features::{AgentSpec, NetworkSpec};
+use crate::vector::math::{dot, fma, softmax};
+use crate::vector::{Dense, Isa, Matrix, Work};
 use cross_config::ModelConfig;
 
 /// Tokens of an agent are padded to a multiple of this, for the processor's sake.

@@ -11,11 +11,8 @@
 //! ```
 //! Rows are phases: agents in layout order, each with its phases. What a row gives does not depend on the others beside it.
 
-mod dense;
 mod gfe;
-mod isa;
 mod lanes;
-mod math;
 mod moe;
 mod norm;
 mod pcc;
@@ -23,11 +20,10 @@ mod pcc;
 mod tests;
 mod weights;
 
-pub(crate) use isa::Isa;
-
 use crate::error::ModelError;
 use crate::features::{FeatureSizes, NetworkSpec, Track};
 use crate::net::{Net, Role};
+use crate::vector::Isa;
 use cross_config::ModelConfig;
 use gfe::{Features, FeaturesWork, Recurrent, RecurrentWork};
 use moe::{Moe, MoeWork};

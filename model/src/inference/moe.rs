@@ -3,12 +3,11 @@
 //! Between an expert's hidden layer and the score there are only linear steps, so that they are one scalar product, and
 //! the centres, which the router's first layer is linear in, are in its weights.
 
-use super::dense::{Dense, Mlp};
 use super::gfe::mlp;
-use super::isa::{Isa, Work};
-use super::math::dot;
-use super::weights::{Matrix, Weights};
+use super::weights::Weights;
 use crate::error::ModelError;
+use crate::vector::math::dot;
+use crate::vector::{Dense, Isa, Matrix, Mlp, Work};
 use cross_config::ModelConfig;
 
 #[derive(Debug)]

@@ -1,9 +1,9 @@
 //! Layer normalisation.
 
-use super::isa::{Isa, Work};
-use super::math::{dot, fma, sum};
 use super::weights::Weights;
 use crate::error::ModelError;
+use crate::vector::math::{dot, fma, sum};
+use crate::vector::{Isa, Work};
 
 /// Layer normalisation.
 #[derive(Debug)]

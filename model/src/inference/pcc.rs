@@ -1,13 +1,12 @@
 //! Soft assignment of phases to cluster centres for one observation; the same as the training's `net::pcc`, without the
 //! prediction, which only the loss needs.
 
-use super::dense::Dense;
-use super::isa::{Isa, Work};
-use super::math::{dot, sigmoid, softmax};
 use super::norm::Norm;
-use super::weights::{Matrix, Weights};
+use super::weights::Weights;
 use crate::error::ModelError;
 use crate::features::{AgentSpec, NetworkSpec, Track};
+use crate::vector::math::{dot, sigmoid, softmax};
+use crate::vector::{Dense, Isa, Matrix, Work};
 use cross_config::{Gfe, ModelConfig};
 
 #[derive(Debug)]

@@ -6,9 +6,11 @@
 //! and the junction's lanes as further tokens. Both join phases and tokens by multi-head cross-attention with the
 //! residual on the phase's side; over the paper's single token the softmax is 1, so queries and keys do not exist there.
 
+use super::gru::Gru;
 use super::join;
 use super::lanes::LaneAttention;
-use super::layers::{Gru, Linear, Mlp};
+use super::layers::{Linear, Mlp};
+use super::tape::Tape;
 use crate::batch::{Batch, Inputs};
 use crate::features::FeatureSizes;
 use crate::params::Init;
@@ -99,7 +101,7 @@ impl GfeNet {
         }
     }
 
-    pub(super) fn recurrent(&self, batch: &Batch, state: &Tensor) -> Recurrent {
+    pub(super) fn recurrent(&self, batch: &Batch, state: &Tensor, tape: &mut Tape) -> Recurrent {
         let (phases, e) = match &batch.inputs {
             Inputs::Paper(paper) => {
                 let (first, own) = (self.state.first(), batch.real_columns(&paper.states));
@@ -109,7 +111,8 @@ impl GfeNet {
                 (self.phase.forward(&paper.phase_states), e)
             }
             Inputs::Movement(movement) => {
-                let phases = self.phase.forward(&movement.phases);
+                // Phases lead on both through the state that is made of them and by themselves.
+                let [phases] = tape.cut([&self.phase.forward(&movement.phases)]);
                 // Split and not narrowed: going backward, every narrowing fills a tensor as large as the whole.
                 let groups = batch.groups.iter().zip(phases.split_with_sizes(batch.group_rows(), 0));
                 let pooled = groups.map(|(group, own)| {
@@ -121,13 +124,13 @@ impl GfeNet {
             }
         };
         let sequences = e.view([batch.sequences, batch.steps, self.hidden]);
-        let states = self.gru.forward(&sequences, state);
-        let h_s = e + states.reshape([-1, self.hidden]);
+        let (input, states) = self.gru.forward(&sequences, state, tape);
+        let h_s = (input + &states).view([-1, self.hidden]);
         Recurrent { phases, h_s, states }
     }
 
-    pub(super) fn forward(&self, batch: &Batch, state: &Tensor) -> GfeOutput {
-        let Recurrent { phases, h_s, states } = self.recurrent(batch, state);
+    pub(super) fn forward(&self, batch: &Batch, state: &Tensor, tape: &mut Tape) -> GfeOutput {
+        let Recurrent { phases, h_s, states } = self.recurrent(batch, state, tape);
         let h_sp = match &batch.inputs {
             Inputs::Movement(movement) => {
                 // Both come from one configuration; without the lanes, the phases would lose the state in silence.
@@ -138,6 +141,8 @@ impl GfeNet {
             // Over the state token alone, attention is two linear layers, one after the other.
             Inputs::Paper(paper) => {
                 let samples = self.output.after(&self.value).forward(&h_s);
+                // The router and the experts' own way back both lead here.
+                let [phases, samples] = tape.cut([&phases, &samples]);
                 PhaseFeatures::Sum(phases, samples, paper.phase_of_row.shallow_clone())
             }
         };

@@ -190,29 +190,3 @@ impl LayerNorm {
         x.layer_norm([self.width], Some(&self.weight), Some(&self.bias), 1e-5, false)
     }
 }
-
-/// One layer of gated recurrent units (PyTorch's equations and gate order: reset, update, new).
-#[derive(Debug)]
-pub(super) struct Gru {
-    weights: [Tensor; 4],
-}
-
-impl Gru {
-    pub(super) fn new(init: &mut Init<'_>, width: i64) -> Self {
-        let bound = 1.0 / (width as f64).sqrt();
-        Self {
-            weights: [
-                init.uniform("weight_ih", &[3 * width, width], bound),
-                init.uniform("weight_hh", &[3 * width, width], bound),
-                init.uniform("bias_ih", &[3 * width], bound),
-                init.uniform("bias_hh", &[3 * width], bound),
-            ],
-        }
-    }
-
-    /// `x` `[sequences, steps, width]`, `state` `[sequences, width]`; returns the state after every step.
-    pub(super) fn forward(&self, x: &Tensor, state: &Tensor) -> Tensor {
-        // In training mode: without dropout it changes no number, and cuDNN goes backward in no other.
-        x.gru(&state.unsqueeze(0), &self.weights, true, 1, 0.0, true, false, true).0
-    }
-}

@@ -7,11 +7,14 @@
 //!  batch ─> Pcc ─> z_hat ─────────────┴─ router ───┘
 //! ```
 
+mod experts;
 mod gfe;
+mod gru;
 mod lanes;
 mod layers;
 mod moe;
 mod pcc;
+mod tape;
 
 pub use moe::MoeOutput;
 pub use pcc::PccOutput;
@@ -26,7 +29,9 @@ use layers::Linear;
 use moe::{Moe, Pattern};
 use pcc::Pcc;
 use rand_chacha::ChaCha8Rng;
-use tch::{Device, Tensor};
+use std::rc::Rc;
+use tape::Tape;
+use tch::{Device, TchError, Tensor};
 
 /// What a network is for; decides the initial scale of its head.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,6 +76,31 @@ pub struct Forward {
     /// Routing.
     pub moe: MoeOutput,
     h_sp: PhaseFeatures,
+    tape: Rc<Tape>,
+}
+
+/// How gradients get from a loss to a network's weights: by libtorch's graph, and past its end where this network has a way
+/// back of its own.
+#[derive(Debug, Clone)]
+pub struct WayBack(Rc<Tape>);
+
+impl WayBack {
+    /// Leaves the gradients of `loss`, which this pass led to, at all parameters. Once for each pass.
+    ///
+    /// # Errors
+    /// libtorch's.
+    pub fn descend_from(&self, loss: &Tensor) -> Result<(), TchError> {
+        loss.f_backward()?;
+        self.0.backward()
+    }
+}
+
+impl Forward {
+    /// The way that gradients take.
+    #[must_use]
+    pub fn way_back(&self) -> WayBack {
+        WayBack(Rc::clone(&self.tape))
+    }
 }
 
 impl Net {
@@ -117,12 +147,34 @@ impl Net {
     /// The whole pass. `state` is the recurrent state at the start of each sequence `[sequences, hidden]`.
     #[must_use]
     pub fn forward(&self, batch: &Batch, state: &Tensor) -> Forward {
-        let gfe = self.gfe.forward(batch, state);
+        self.pass(batch, state, Tape::new(&self.sample()))
+    }
+
+    /// The same with libtorch's operations alone, as on devices other than the CPU. Slower there; for tests.
+    #[must_use]
+    pub fn forward_without_loops(&self, batch: &Batch, state: &Tensor) -> Forward {
+        self.pass(batch, state, Tape::without_loops(&self.sample()))
+    }
+
+    /// Something computed from a parameter: where it is, and whether gradients are wanted at present.
+    fn sample(&self) -> Tensor {
+        self.head.bias() * 1.0
+    }
+
+    fn pass(&self, batch: &Batch, state: &Tensor, mut tape: Tape) -> Forward {
+        let gfe = self.gfe.forward(batch, state, &mut tape);
         let clustered = self.pcc.as_ref().map(|pcc| (pcc.forward(batch), pcc.centres()));
         let pattern = clustered.as_ref().map(|(pcc, centres)| Pattern { weights: &pcc.weights, centres });
-        let moe = self.moe.forward(batch, &gfe.h_sp, pattern.as_ref(), &self.head);
+        let moe = self.moe.forward(batch, &gfe.h_sp, pattern.as_ref(), &self.head, &mut tape);
         let pcc = clustered.map(|(pcc, _)| pcc);
-        Forward { scores: moe.scores.shallow_clone(), states: gfe.states, h_sp: gfe.h_sp, pcc, moe }
+        Forward {
+            scores: moe.scores.shallow_clone(),
+            states: gfe.states,
+            h_sp: gfe.h_sp,
+            tape: Rc::new(tape),
+            pcc,
+            moe,
+        }
     }
 
     /// Phase-aware representation of every packed row `[rows, hidden]`.
@@ -149,7 +201,7 @@ impl Net {
 
     /// The recurrent path alone: state after every step `[sequences, steps, hidden]`.
     pub fn advance(&self, batch: &Batch, state: &Tensor) -> Tensor {
-        self.gfe.recurrent(batch, state).states
+        self.gfe.recurrent(batch, state, &mut Tape::new(&self.sample())).states
     }
 
     /// The linear prediction `[samples, target]` of the next step's features from the chosen phases' latents.

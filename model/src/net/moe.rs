@@ -5,9 +5,11 @@
 //! layer and the head are one vector: `head(sum alpha_m E_m(x)) = sum alpha_m (W_head W_m) relu(..) + ..`. The sum itself,
 //! `h_moe`, is computed only for who asks for it.
 
+use super::experts::{self, Parts, Table};
 use super::gfe::PhaseFeatures;
 use super::join;
 use super::layers::{Linear, Mlp};
+use super::tape::Tape;
 use crate::batch::Batch;
 use crate::params::Init;
 use cross_config::ModelConfig;
@@ -61,6 +63,7 @@ impl Moe {
         h_sp: &PhaseFeatures,
         pattern: Option<&Pattern<'_>>,
         head: &Linear,
+        tape: &mut Tape,
     ) -> MoeOutput {
         let Some(router) = &self.router else {
             let dense = &self.experts[0];
@@ -71,18 +74,49 @@ impl Moe {
         let logits = router.second().forward(&routed(router.first(), batch, h_sp, pattern)) / self.tau_r;
         let (chosen, indices) = logits.topk(self.top_k, -1, true, true);
         let alpha = chosen.softmax(-1, Kind::Float);
-        let plan = Plan::new(&indices, self.experts.len());
-        let hidden = self.hidden(batch, h_sp, &plan);
         // Alpha sums to 1, so the head's bias comes once, at the end.
-        let scores =
-            self.experts.iter().zip(&hidden).filter(|(_, own)| own.numel() > 0).map(|(expert, own)| {
-                let second = expert.second();
-                own.linear(&head.weight().matmul(second.weight()), Some(head.weight().mv(second.bias())))
-            });
-        // Back from the experts' order to [rows, k].
-        let scores = join(scores.collect()).index_select(0, &plan.places).view_as(&alpha);
+        let scores = match h_sp {
+            PhaseFeatures::Sum(phases, samples, phase_of_row) if tape.loops() => {
+                let parts = self.parts(phases, samples, head);
+                let (phase, sample) = (numbers(phase_of_row), numbers(batch.sample_of_row()));
+                let table = Table { k: self.top_k as usize, expert: numbers(&indices), phase, sample };
+                experts::scores(parts, table, tape)
+            }
+            _ => self.planned(batch, h_sp, &indices, head).view_as(&alpha),
+        };
         let scores = (scores * &alpha).sum_dim_intlist(-1, false, Kind::Float) + head.bias();
         MoeOutput { scores, gates: Some((alpha, indices)) }
+    }
+
+    /// What the chosen experts' scores are made of where rows are sums.
+    fn parts(&self, phases: &Tensor, samples: &Tensor, head: &Linear) -> Parts {
+        // All experts on phases and on samples are less work than the chosen ones on rows.
+        let layers = self.first_layers();
+        let (v, c): (Vec<Tensor>, Vec<Tensor>) = self.experts.iter().map(|expert| onto(head, expert)).unzip();
+        Parts {
+            phases: layers.forward(phases),
+            samples: layers.without_bias().forward(samples),
+            v: Tensor::cat(&v, 0),
+            c: Tensor::cat(&c, 0),
+        }
+    }
+
+    /// The first layers of all experts side by side.
+    fn first_layers(&self) -> Linear {
+        Linear::beside(&self.experts.iter().map(Mlp::first))
+    }
+
+    /// Scores of every row's chosen experts, expert by expert `[rows * k]`.
+    fn planned(&self, batch: &Batch, h_sp: &PhaseFeatures, indices: &Tensor, head: &Linear) -> Tensor {
+        let plan = Plan::new(indices, self.experts.len());
+        let hidden = self.hidden(batch, h_sp, &plan);
+        let scores = self.experts.iter().zip(&hidden).filter(|(_, own)| own.numel() > 0);
+        let scores = scores.map(|(expert, own)| {
+            let (weight, bias) = onto(head, expert);
+            own.linear(&weight, Some(bias))
+        });
+        // Back from the experts' order to [rows, k].
+        join(scores.collect()).index_select(0, &plan.places)
     }
 
     /// Hidden layer of each expert on its rows.
@@ -93,9 +127,8 @@ impl Moe {
                 let own = rows.index_select(0, &plan.rows).split_with_sizes(counts, 0);
                 self.experts.iter().zip(&own).map(|(expert, own)| expert.hidden(own)).collect()
             }
-            // All experts on phases and on samples are less work than the chosen ones on rows.
             PhaseFeatures::Sum(phases, samples, phase_of_row) => {
-                let layers = Linear::beside(&self.experts.iter().map(Mlp::first));
+                let layers = self.first_layers();
                 let count = self.experts.len() as i64;
                 let width = samples.size()[1];
                 let chosen = |all: Tensor, of_row: &Tensor| {
@@ -119,6 +152,12 @@ impl Moe {
         }
         mixed
     }
+}
+
+/// An expert's second layer and the head as one: weight `[1, width]` and bias `[1]`, without the head's own bias.
+fn onto(head: &Linear, expert: &Mlp) -> (Tensor, Tensor) {
+    let second = expert.second();
+    (head.weight().matmul(second.weight()), head.weight().mv(second.bias()))
 }
 
 /// The router's hidden layer from `[h_sp, z_hat]`, without putting the two side by side: the pattern's part is taken at the
@@ -148,7 +187,7 @@ impl Plan {
     /// One reading of the table and a counting sort: cheaper than a search per expert, on a GPU too.
     fn new(table: &Tensor, experts: usize) -> Self {
         let k = table.size()[1];
-        let entries = indices(table);
+        let entries = numbers(table);
         let mut counts = vec![0i64; experts];
         for &expert in &entries {
             counts[expert as usize] += 1;
@@ -176,7 +215,7 @@ impl Plan {
 }
 
 /// A table of whole numbers, row by row.
-fn indices(table: &Tensor) -> Vec<i64> {
+fn numbers(table: &Tensor) -> Vec<i64> {
     let flat = table.to_device(Device::Cpu).contiguous().view([-1]);
     let mut values = vec![0i64; flat.numel()];
     let count = values.len();
@@ -193,8 +232,8 @@ mod tests {
         let table = Tensor::from_slice(&[2i64, 0, 0, 2, 2, 3]).view([3, 2]);
         let plan = Plan::new(&table, 4);
         assert_eq!(plan.counts, [2, 0, 3, 1]);
-        assert_eq!(indices(&plan.rows), [0, 1, 0, 1, 2, 2]);
-        assert_eq!(indices(&plan.experts), [0, 0, 2, 2, 2, 3]);
-        assert_eq!(indices(&plan.places), [2, 0, 1, 3, 4, 5]);
+        assert_eq!(numbers(&plan.rows), [0, 1, 0, 1, 2, 2]);
+        assert_eq!(numbers(&plan.experts), [0, 0, 2, 2, 2, 3]);
+        assert_eq!(numbers(&plan.places), [2, 0, 1, 3, 4, 5]);
     }
 }

@@ -23,7 +23,7 @@ pub(crate) enum Isa {
 pub(crate) struct Has<const SET: usize>(());
 
 /// A loop to compile for each set of instructions. Everything that `run` calls must be inlined into it.
-pub(super) trait Work {
+pub(crate) trait Work {
     /// Does the work. `WIDTH`: outputs of a linear layer that are computed together; `FUSED`: whether the processor
     /// multiplies and adds in one instruction.
     fn run<const WIDTH: usize, const FUSED: bool>(self);
@@ -53,7 +53,7 @@ impl Isa {
     }
 
     /// Outputs of a linear layer that are computed together.
-    pub(super) fn width(self) -> usize {
+    pub(crate) fn width(self) -> usize {
         match self {
             Self::Generic => GENERIC_WIDTH,
             #[cfg(target_arch = "x86_64")]
@@ -64,7 +64,7 @@ impl Isa {
     }
 
     /// Does the work with these instructions.
-    pub(super) fn run(self, work: impl Work) {
+    pub(crate) fn run(self, work: impl Work) {
         match self {
             Self::Generic => work.run::<GENERIC_WIDTH, GENERIC_FUSED>(),
             #[cfg(target_arch = "x86_64")]

@@ -4,13 +4,13 @@
 
 /// `a * b + c`.
 #[inline(always)]
-pub(super) fn fma<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
+pub(crate) fn fma<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
     if FUSED { a.mul_add(b, c) } else { a * b + c }
 }
 
 /// `eˣ` to 2 units in the last place for `x` in -87..=88, constant beyond.
 #[inline(always)]
-pub(super) fn exp<const FUSED: bool>(x: f32) -> f32 {
+pub(crate) fn exp<const FUSED: bool>(x: f32) -> f32 {
     // Adding it leaves no bits for a fraction, so that the sum is rounded to a whole number.
     const ROUND: f32 = 12_582_912.0;
     // ln 2 in two parts; the first has so few bits that its product with a small whole number is exact.
@@ -32,19 +32,19 @@ pub(super) fn exp<const FUSED: bool>(x: f32) -> f32 {
 
 /// Logistic function.
 #[inline(always)]
-pub(super) fn sigmoid<const FUSED: bool>(x: f32) -> f32 {
+pub(crate) fn sigmoid<const FUSED: bool>(x: f32) -> f32 {
     1.0 / (1.0 + exp::<FUSED>(-x))
 }
 
 /// Hyperbolic tangent, to 1e-7 absolute.
 #[inline(always)]
-pub(super) fn tanh<const FUSED: bool>(x: f32) -> f32 {
+pub(crate) fn tanh<const FUSED: bool>(x: f32) -> f32 {
     1.0 - 2.0 / (1.0 + exp::<FUSED>(2.0 * x))
 }
 
 /// Scalar product of two slices of one length.
 #[inline(always)]
-pub(super) fn dot<const FUSED: bool>(a: &[f32], b: &[f32]) -> f32 {
+pub(crate) fn dot<const FUSED: bool>(a: &[f32], b: &[f32]) -> f32 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<STRANDS>(), b.as_chunks::<STRANDS>());
     let mut sums = [0.0f32; STRANDS];
     for (a, b) in a.iter().zip(b) {
@@ -60,13 +60,13 @@ pub(super) fn dot<const FUSED: bool>(a: &[f32], b: &[f32]) -> f32 {
 
 /// Sum of some numbers.
 #[inline(always)]
-pub(super) fn sum(values: &[f32]) -> f32 {
+pub(crate) fn sum(values: &[f32]) -> f32 {
     reduce(values, 0.0, |a, b| a + b)
 }
 
 /// Largest of some numbers; minus infinity of none.
 #[inline(always)]
-pub(super) fn largest(values: &[f32]) -> f32 {
+pub(crate) fn largest(values: &[f32]) -> f32 {
     // A comparison, unlike `f32::max`, is one instruction.
     reduce(values, f32::NEG_INFINITY, |a, b| if b > a { b } else { a })
 }
@@ -97,7 +97,7 @@ fn fold(strands: [f32; STRANDS], join: impl Fn(f32, f32) -> f32) -> f32 {
 
 /// Numbers to weights that sum to 1.
 #[inline(always)]
-pub(super) fn softmax<const FUSED: bool>(values: &mut [f32]) {
+pub(crate) fn softmax<const FUSED: bool>(values: &mut [f32]) {
     let most = largest(values);
     for value in values.iter_mut() {
         *value = exp::<FUSED>(*value - most);

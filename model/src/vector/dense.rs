@@ -2,14 +2,14 @@
 
 use super::isa::{Isa, Work};
 use super::math::fma;
-use super::weights::Matrix;
+use super::matrix::Matrix;
 
 /// Rows of the input that are computed together; with an [`Isa::width`] of outputs each they fill the registers.
 const ROWS: usize = 4;
 
 /// `y = x Wᵀ + b`.
 #[derive(Debug)]
-pub(super) struct Dense {
+pub(crate) struct Dense {
     isa: Isa,
     inputs: usize,
     outputs: usize,
@@ -21,7 +21,7 @@ pub(super) struct Dense {
 
 impl Dense {
     /// From `weight` `[outputs, inputs]` and `bias` `[outputs]`; no bias is zero.
-    pub(super) fn new(isa: Isa, weight: &Matrix, bias: Option<&[f32]>) -> Self {
+    pub(crate) fn new(isa: Isa, weight: &Matrix, bias: Option<&[f32]>) -> Self {
         let (outputs, inputs, width) = (weight.rows, weight.columns, isa.width());
         let count = outputs.div_ceil(width);
         let mut panels = vec![0.0; count * inputs * width];
@@ -37,17 +37,17 @@ impl Dense {
     }
 
     /// Number of outputs.
-    pub(super) fn outputs(&self) -> usize {
+    pub(crate) fn outputs(&self) -> usize {
         self.outputs
     }
 
     /// `x` `[rows, inputs]` to `out` `[rows, outputs]`, whose length is adapted.
-    pub(super) fn forward(&self, x: &[f32], out: &mut Vec<f32>) {
+    pub(crate) fn forward(&self, x: &[f32], out: &mut Vec<f32>) {
         self.apply::<false>(x, out);
     }
 
     /// As [`forward`](Self::forward), negative results set to zero.
-    pub(super) fn forward_relu(&self, x: &[f32], out: &mut Vec<f32>) {
+    pub(crate) fn forward_relu(&self, x: &[f32], out: &mut Vec<f32>) {
         self.apply::<true>(x, out);
     }
 
@@ -59,13 +59,13 @@ impl Dense {
 
 /// Linear, ReLU, linear.
 #[derive(Debug)]
-pub(super) struct Mlp {
-    pub(super) first: Dense,
-    pub(super) second: Dense,
+pub(crate) struct Mlp {
+    pub(crate) first: Dense,
+    pub(crate) second: Dense,
 }
 
 impl Mlp {
-    pub(super) fn forward(&self, x: &[f32], hidden: &mut Vec<f32>, out: &mut Vec<f32>) {
+    pub(crate) fn forward(&self, x: &[f32], hidden: &mut Vec<f32>, out: &mut Vec<f32>) {
         self.first.forward_relu(x, hidden);
         self.second.forward(hidden, out);
     }
