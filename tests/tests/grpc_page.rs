@@ -33,7 +33,7 @@ fn secure(run: &Run, folder: &Path) -> LearnerAlone {
     let authority = Authority::new("the page's own");
     let ca = authority.file(folder, "authority");
     let server = authority.issue(folder, "server", &["localhost"]);
-    authority.issue(folder, "actor", &["actor"]);
+    let _ = authority.issue(folder, "actor", &["actor"]);
     std::fs::rename(&ca, folder.join("ca.pem")).unwrap();
     let token = folder.join("token");
     secret(&token, "a-token-for-this-page-1234\n");
