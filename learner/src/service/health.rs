@@ -136,7 +136,8 @@ mod tests {
             LearnerHealth { inner: HealthService::from_health_reporter(reporter), closing: closing.clone() };
         let error = health.check(request("cross.v1.Trainings")).await.unwrap_err();
         assert_eq!((status::reason(&error), error.code()), (Some(Reason::UnknownService), Code::NotFound));
-        assert!(error.message().contains("Trainings") && error.message().contains("cross.v1.Training,"));
+        assert!(error.message().contains("\"cross.v1.Trainings\""), "{error}");
+        assert!(error.message().ends_with("cross.v1.Checkpoints, cross.v1.Training"), "{error}");
         let mut watch = health.watch(request("cross.v1.Trainings")).await.unwrap().into_inner();
         assert_eq!(watch.next().await.unwrap().unwrap().status(), Wire::ServiceUnknown);
         assert!(futures::poll!(watch.next()).is_pending());
