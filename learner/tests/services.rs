@@ -8,6 +8,7 @@ use cross_learner::checkpoint::reader;
 use cross_proto::client::{CheckpointsClient, LearnerClient};
 use cross_proto::status::{self, Reason};
 use cross_proto::v1::{self, Outcome, stream_fragments_request as up};
+use prost::Message as _;
 use sha2::{Digest, Sha256};
 use support::{TestActor, TestLearner, config, join_request, soon};
 use tonic::{Code, Status};
@@ -222,6 +223,43 @@ async fn checkpoints_are_listed_in_pages_described_and_downloaded() {
     learner.ended().await;
 }
 
+#[tokio::test]
+async fn calls_that_no_service_sees_are_refused_with_a_reason_too() {
+    let run = tempfile::tempdir().unwrap();
+    let learner = TestLearner::start(config(&["x"], 9), run.path()).await;
+    let channel = learner.channel().await;
+    // What a client of another release may call: a method or a service that is not here.
+    for path in ["/cross.v1.Training/Stop", "/cross.v9.Training/GetStatus", "/"] {
+        let error = call(&channel, path).await.unwrap_err();
+        assert_eq!((status::reason(&error), error.code()), (Some(Reason::Unsupported), Code::Unimplemented));
+        assert!(error.message().contains(path.trim_start_matches('/')), "{error}");
+    }
+    // Field 1 is a number here and a text there.
+    let error = call(&channel, "/cross.v1.Checkpoints/GetCheckpoint").await.unwrap_err();
+    assert_eq!(
+        (status::reason(&error), error.code()),
+        (Some(Reason::UnexpectedMessage), Code::InvalidArgument)
+    );
+    call(&channel, "/cross.v1.Checkpoints/ListCheckpoints").await.unwrap();
+    let error = HealthClient::new(channel)
+        .check(HealthCheckRequest { service: "cross.v1.Nothing".to_owned() })
+        .await
+        .unwrap_err();
+    assert_eq!((status::reason(&error), error.code()), (Some(Reason::UnknownService), Code::NotFound));
+    learner.drain().cancel();
+    learner.ended().await;
+}
+
+/// Sends a request for a page of checkpoints to any method.
+async fn call(channel: &tonic::transport::Channel, path: &'static str) -> Result<(), Status> {
+    let request = tonic::Request::new(v1::ListCheckpointsRequest { page_size: 2, page_token: String::new() });
+    let codec = tonic_prost::ProstCodec::<v1::ListCheckpointsRequest, v1::ListCheckpointsResponse>::default();
+    let mut client = tonic::client::Grpc::new(channel.clone());
+    client.ready().await.unwrap();
+    let path = tonic::codegen::http::uri::PathAndQuery::from_static(path);
+    client.unary(request, path, codec).await.map(drop)
+}
+
 async fn health(learner: &TestLearner, service: &str) -> ServingStatus {
     let request = HealthCheckRequest { service: service.to_owned() };
     HealthClient::new(learner.channel().await).check(request).await.unwrap().into_inner().status()
@@ -295,7 +333,23 @@ async fn metrics_count_what_became_of_fragments() {
 async fn both_reflections_describe_every_service() {
     let run = tempfile::tempdir().unwrap();
     let learner = TestLearner::start(config(&["x"], 9), run.path()).await;
-    let expected = ["cross.v1.Checkpoints", "cross.v1.Learner", "cross.v1.Training", "grpc.health.v1.Health"];
+    let expected = [
+        "cross.v1.Checkpoints",
+        "cross.v1.Learner",
+        "cross.v1.Training",
+        "grpc.health.v1.Health",
+        "grpc.reflection.v1.ServerReflection",
+        "grpc.reflection.v1alpha.ServerReflection",
+    ];
+    // Services by their methods, and what stands in the details of errors.
+    let symbols = [
+        "grpc.health.v1.Health.Watch",
+        "cross.v1.Learner.Join",
+        "cross.v1.TrainingStatus.Phase",
+        "google.rpc.ErrorInfo",
+        "google.rpc.BadRequest",
+        "google.rpc.RetryInfo",
+    ];
     macro_rules! services {
         ($version:ident) => {{
             use pb::server_reflection_request::MessageRequest;
@@ -303,24 +357,38 @@ async fn both_reflections_describe_every_service() {
             use tonic_reflection::pb::$version as pb;
             let ask =
                 |message| pb::ServerReflectionRequest { host: String::new(), message_request: Some(message) };
-            let requests = vec![
-                ask(MessageRequest::ListServices(String::new())),
-                ask(MessageRequest::FileContainingSymbol("grpc.health.v1.Health".to_owned())),
-                ask(MessageRequest::FileContainingSymbol("cross.v1.Learner.Join".to_owned())),
-            ];
+            let (sender, requests) = tokio::sync::mpsc::channel(1);
+            let requests = tokio_stream::wrappers::ReceiverStream::new(requests);
             let mut client =
                 pb::server_reflection_client::ServerReflectionClient::new(learner.channel().await);
-            let mut answers =
-                client.server_reflection_info(tokio_stream::iter(requests)).await.unwrap().into_inner();
-            let mut next = async || answers.message().await.unwrap().unwrap().message_response.unwrap();
-            let MessageResponse::ListServicesResponse(list) = next().await else { panic!("no list") };
-            let names: Vec<String> = list.service.into_iter().map(|service| service.name).collect();
-            for name in expected {
-                assert!(names.iter().any(|n| n == name), "{name} is missing in {names:?}");
+            let mut answers = client.server_reflection_info(requests).await.unwrap().into_inner();
+            let mut asked = async |message| {
+                sender.send(ask(message)).await.unwrap();
+                soon("an answer", answers.message()).await.unwrap().unwrap().message_response.unwrap()
+            };
+            let MessageResponse::ListServicesResponse(list) =
+                asked(MessageRequest::ListServices(String::new())).await
+            else {
+                panic!("no list")
+            };
+            let mut names: Vec<String> = list.service.into_iter().map(|service| service.name).collect();
+            names.sort_unstable();
+            assert_eq!(names, expected);
+            // A client fetches a symbol's file, then by name what that imports, to the end.
+            let mut wanted: Vec<MessageRequest> =
+                symbols.map(|symbol| MessageRequest::FileContainingSymbol(symbol.to_owned())).into();
+            let mut files = std::collections::BTreeSet::new();
+            while let Some(request) = wanted.pop() {
+                let answer = asked(request.clone()).await;
+                let MessageResponse::FileDescriptorResponse(found) = answer else { panic!("{request:?}") };
+                for file in found.file_descriptor_proto {
+                    let file = prost_types::FileDescriptorProto::decode(file.as_slice()).unwrap();
+                    if files.insert(file.name().to_owned()) {
+                        wanted.extend(file.dependency.into_iter().map(MessageRequest::FileByFilename));
+                    }
+                }
             }
-            for _ in 0..2 {
-                assert!(matches!(next().await, MessageResponse::FileDescriptorResponse(_)));
-            }
+            assert!(files.contains("google/protobuf/duration.proto"), "{files:?}");
         }};
     }
     services!(v1);

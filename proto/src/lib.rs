@@ -30,6 +30,10 @@ pub const FILE_DESCRIPTOR_SET: &[u8] = include_bytes!("generated/cross.v1.bin");
 /// The encoded `google.protobuf.FileDescriptorSet` of `grpc.health.v1`, to be registered beside [`FILE_DESCRIPTOR_SET`].
 pub const HEALTH_FILE_DESCRIPTOR_SET: &[u8] = tonic_health::pb::FILE_DESCRIPTOR_SET;
 
+/// The encoded `google.protobuf.FileDescriptorSet` of `google.rpc`, to be registered likewise: a reflection client such as
+/// grpcurl cannot print the details of an error otherwise.
+pub const ERROR_FILE_DESCRIPTOR_SET: &[u8] = tonic_types::pb::FILE_DESCRIPTOR_SET;
+
 /// Full names of the services, as health checks and reflection know them.
 pub mod service {
     /// The learner as actors see it.
@@ -38,6 +42,8 @@ pub mod service {
     pub const CHECKPOINTS: &str = "cross.v1.Checkpoints";
     /// State of the training run.
     pub const TRAINING: &str = "cross.v1.Training";
+    /// The three of them.
+    pub const ALL: [&str; 3] = [LEARNER, CHECKPOINTS, TRAINING];
 }
 
 /// Messages and services of package `cross.v1`, generated from the schema.

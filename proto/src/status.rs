@@ -75,6 +75,10 @@ reasons! {
     CheckpointNotFound = "CHECKPOINT_NOT_FOUND", NotFound;
     /// A checkpoint is there but cannot be read or written.
     CheckpointUnusable = "CHECKPOINT_UNUSABLE", DataLoss;
+    /// Health is not told of a service of that name.
+    UnknownService = "UNKNOWN_SERVICE", NotFound;
+    /// The learner has no such method, or does not know the message's compression.
+    Unsupported = "UNSUPPORTED", Unimplemented;
     /// The learner itself failed; its log tells more.
     Internal = "INTERNAL", Internal;
 }
@@ -96,7 +100,9 @@ impl Reason {
             | Self::UnexpectedMessage
             | Self::MessageTooLarge
             | Self::CheckpointNotFound
-            | Self::CheckpointUnusable => false,
+            | Self::CheckpointUnusable
+            | Self::UnknownService
+            | Self::Unsupported => false,
             Self::Draining | Self::TooManyActors | Self::NotJoined | Self::OldSession => true,
             Self::TooManyInFlight | Self::TooManyRequests | Self::TooManyStreams | Self::Internal => true,
         }
@@ -158,7 +164,7 @@ pub fn config_mismatch(actor: &str, learner: &str) -> Status {
 /// The learner is leaving; another one may be there after `delay`.
 #[must_use]
 pub fn draining(delay: Duration) -> Status {
-    retry_after(Reason::Draining, "the learner is stopping and takes no more actors; join again later", delay)
+    retry_after(Reason::Draining, "the learner is stopping and takes nothing new; come again later", delay)
 }
 
 /// The actor limit is reached.
@@ -204,6 +210,26 @@ pub fn checkpoint_not_found(id: &str) -> Status {
     let id = shortened(id.to_owned());
     let message = format!("there is no checkpoint {id:?}; ListCheckpoints tells which there are");
     with_details(Reason::CheckpointNotFound, message, [("id".to_owned(), id)].into(), None)
+}
+
+/// Health is not told of `service`.
+#[must_use]
+pub fn unknown_service(service: &str) -> Status {
+    let service = shortened(service.to_owned());
+    let known = crate::service::ALL.join(", ");
+    let message = format!(
+        "there is no service {service:?}; leave the name out for the whole learner, or ask for one of {known}"
+    );
+    with_details(Reason::UnknownService, message, [("service".to_owned(), service)].into(), None)
+}
+
+/// There is no method `path`, written as `/package.Service/Method`.
+#[must_use]
+pub fn unknown_method(path: &str) -> Status {
+    let method = shortened(path.trim_start_matches('/').to_owned());
+    let message =
+        format!("there is no method {method:?}; reflection and docs/protocol.md tell which there are");
+    with_details(Reason::Unsupported, message, [("method".to_owned(), method)].into(), None)
 }
 
 /// The reason of a status, if it is one of ours.
@@ -328,8 +354,10 @@ mod tests {
 
     #[test]
     fn a_long_quotation_is_cut_at_a_character() {
-        let status = checkpoint_not_found(&"ä".repeat(100_000));
-        assert!(status.message().len() < 2 * MAX_MESSAGE, "{}", status.message().len());
-        assert_eq!(transmitted(&status).message(), status.message());
+        let long = "ä".repeat(100_000);
+        for status in [checkpoint_not_found(&long), unknown_service(&long), unknown_method(&long)] {
+            assert!(status.message().len() < 2 * MAX_MESSAGE, "{}", status.message().len());
+            assert_eq!(transmitted(&status).message(), status.message());
+        }
     }
 }

@@ -5,19 +5,16 @@
 
 #![expect(clippy::unwrap_used, reason = "a test's helpers fail the test")]
 
+mod sources;
+
 use prost::Message as _;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-const FILES: [&str; 3] = ["cross/v1/learner.proto", "cross/v1/checkpoints.proto", "cross/v1/training.proto"];
-
 /// Everything that belongs in `src/generated`, by file name.
 fn generate() -> BTreeMap<String, Vec<u8>> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("proto");
-    let mut compiler = protox::Compiler::new([root]).unwrap();
     // Comments become the documentation of the Rust items and what `grpcurl describe` prints.
-    compiler.include_imports(true).include_source_info(true).open_files(FILES).unwrap();
-    let descriptors = compiler.file_descriptor_set();
+    let descriptors = sources::descriptors();
     let out = tempfile::tempdir().unwrap();
     tonic_prost_build::configure()
         .out_dir(out.path())

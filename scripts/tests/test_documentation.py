@@ -1,4 +1,4 @@
-"""The documentation against the project: links lead somewhere, and the metrics' page names the metrics that exist."""
+"""The documentation against the project: links lead somewhere, and metrics and reasons of errors are those that exist."""
 
 import re
 import unittest
@@ -20,6 +20,14 @@ class Documentation(unittest.TestCase):
                 if not file.exists() or (heading and heading not in anchors(file)):
                     broken.append(f"{page.relative_to(CHECKOUT)}: {target}")
         self.assertEqual(broken, [])
+
+    def test_every_reason_of_an_error_is_documented_with_its_code(self):
+        documented = re.findall(r"^\| `([A-Z_]+)` \| `([A-Z_]+)` \|", (CHECKOUT / "docs" / "protocol.md").read_text(encoding="utf-8"), re.MULTILINE)
+        source = (CHECKOUT / "proto" / "src" / "status.rs").read_text(encoding="utf-8")
+        exist = re.findall(r'^    [A-Za-z]+ = "([A-Z_]+)", ([A-Za-z]+);$', source, re.MULTILINE)
+        exist = [(name, re.sub(r"(?<=.)([A-Z])", r"_\1", code).upper()) for name, code in exist]
+        self.assertGreater(len(exist), 15)
+        self.assertEqual(sorted(documented), sorted(exist))
 
     def test_the_metrics_page_is_complete_and_true(self):
         documented = set(re.findall(r"^\| `(cross_\w+)`", (CHECKOUT / "docs" / "observability.md").read_text(), re.MULTILINE))

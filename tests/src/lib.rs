@@ -11,8 +11,10 @@
 
 pub mod binaries;
 pub mod certificates;
+pub mod grpcurl;
 pub mod http;
 pub mod packages;
+pub mod page;
 pub mod processes;
 pub mod prometheus;
 pub mod runs;

@@ -12,10 +12,19 @@ pub const REQUIRE: &str = "CROSS_TESTS_REQUIRE_PACKAGES";
 /// When it is missing and [`REQUIRE`] is set.
 #[must_use]
 pub fn program(name: &str, package: &str) -> Option<PathBuf> {
+    program_or(name, &format!("install it with: apt-get install {package}"))
+}
+
+/// As [`program`], for one that is no package of the system; `remedy` says where it comes from.
+///
+/// # Panics
+/// As [`program`].
+#[must_use]
+pub fn program_or(name: &str, remedy: &str) -> Option<PathBuf> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let found = std::env::split_paths(&path).map(|folder| folder.join(name)).find(|file| file.is_file());
     if found.is_none() {
-        skipped(&format!("{name} was not found; install it with: apt-get install {package}"));
+        skipped(&format!("{name} was not found; {remedy}"));
     }
     found
 }

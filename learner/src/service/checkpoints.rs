@@ -1,6 +1,6 @@
 //! `cross.v1.Checkpoints`: what is on the disk, for people and programs.
 
-use super::Shared;
+use super::{COME_AGAIN, Shared};
 use crate::checkpoint::{CheckpointError, MODEL_FILE, Metadata, reader, updates_of};
 use bytes::Bytes;
 use cross_proto::status::{self, Reason};
@@ -9,6 +9,7 @@ use cross_proto::{Violation, v1};
 use futures::stream::{BoxStream, StreamExt, iter};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
+use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status};
 
 const DEFAULT_PAGE: usize = 50;
@@ -142,16 +143,45 @@ impl cross_proto::server::Checkpoints for CheckpointsService {
             Ok((Bytes::from(bytes), Bytes::from(sha256)))
         });
         let (bytes, sha256) = file.await?;
-        let closing = self.shared.closing.clone();
-        let chunks = (0..bytes.len()).step_by(CHUNK_BYTES).map(move |start| {
-            let end = bytes.len().min(start + CHUNK_BYTES);
-            Ok(v1::DownloadCheckpointResponse {
-                offset: start as u64,
-                total_bytes: bytes.len() as u64,
-                chunk: bytes.slice(start..end),
-                sha256: if end == bytes.len() { sha256.clone() } else { Bytes::new() },
-            })
-        });
-        Ok(Response::new(iter(chunks).take_until(closing.cancelled_owned()).boxed()))
+        Ok(Response::new(iter(chunks(bytes, sha256, self.shared.closing.clone())).boxed()))
+    }
+}
+
+/// A file in pieces. Once the learner is `closing` the next one is an error: an end would look like the end of the file.
+fn chunks(
+    bytes: Bytes,
+    sha256: Bytes,
+    closing: CancellationToken,
+) -> impl Iterator<Item = Result<v1::DownloadCheckpointResponse, Status>> {
+    (0..bytes.len()).step_by(CHUNK_BYTES).map(move |start| {
+        if closing.is_cancelled() {
+            return Err(status::draining(COME_AGAIN));
+        }
+        let end = bytes.len().min(start + CHUNK_BYTES);
+        Ok(v1::DownloadCheckpointResponse {
+            offset: start as u64,
+            total_bytes: bytes.len() as u64,
+            chunk: bytes.slice(start..end),
+            sha256: if end == bytes.len() { sha256.clone() } else { Bytes::new() },
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_download_that_the_end_of_the_learner_cuts_off_ends_in_an_error() {
+        let closing = CancellationToken::new();
+        let file = Bytes::from(vec![7; 2 * CHUNK_BYTES + 1]);
+        let mut pieces = chunks(file.clone(), Bytes::from_static(b"sum"), closing.clone());
+        let whole: Vec<_> = chunks(file, Bytes::from_static(b"sum"), closing.clone()).flatten().collect();
+        assert_eq!(whole.iter().map(|piece| piece.chunk.len()).sum::<usize>(), 2 * CHUNK_BYTES + 1);
+        assert_eq!(whole.iter().filter(|piece| !piece.sha256.is_empty()).count(), 1);
+        assert_eq!(pieces.next().unwrap().unwrap(), whole[0]);
+        closing.cancel();
+        let error = pieces.next().unwrap().unwrap_err();
+        assert_eq!(status::reason(&error), Some(Reason::Draining));
     }
 }

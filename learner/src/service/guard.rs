@@ -14,13 +14,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Instant;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::{Bytes, Service, http};
+use tonic::{Code, Status};
 
-/// The present tonic answers a message above the limit with this number, OUT_OF_RANGE, and without details.
-const OUT_OF_RANGE: &[u8] = b"11";
-const DETAILS: &str = "grpc-status-details-bin";
+/// Tells a client which compressions it may use.
+const ENCODINGS: &str = "grpc-accept-encoding";
 
 /// Limits on calls.
 #[derive(Debug, Clone, Copy)]
@@ -93,15 +92,28 @@ impl Guard {
             .map_err(|_| status::too_many_streams(self.limits.streams, COME_AGAIN))
     }
 
-    /// The same response, or one with a reason where the transport gave none.
-    fn explained(&self, response: http::Response<Body>) -> http::Response<Body> {
-        let headers = response.headers();
-        let too_large = headers.get("grpc-status").is_some_and(|code| code.as_bytes() == OUT_OF_RANGE);
-        if too_large && !headers.contains_key(DETAILS) {
-            status::message_too_large(self.limits.message_bytes).into_http()
-        } else {
-            response
+    /// The same response, or one with a reason where the transport gave none. Errors of the services have details; those
+    /// without are of tonic, which refused the call before a service saw it.
+    fn explained(&self, path: &str, response: http::Response<Body>) -> http::Response<Body> {
+        let status = match Status::from_header_map(response.headers()) {
+            Some(status) if status.details().is_empty() => status,
+            _ => return response,
+        };
+        let explained = match (status.code(), status.message()) {
+            // The present tonic says so of a message above the limit.
+            (Code::OutOfRange, _) => status::message_too_large(self.limits.message_bytes),
+            (Code::Unimplemented, "") => status::unknown_method(path),
+            (Code::Unimplemented, compression) => status::error(Reason::Unsupported, compression),
+            (Code::Internal, problem) => {
+                status::error(Reason::UnexpectedMessage, format!("the request cannot be read: {problem}"))
+            }
+            _ => return response,
+        };
+        let mut answer = explained.into_http();
+        if let Some(encodings) = response.headers().get(ENCODINGS) {
+            answer.headers_mut().insert(ENCODINGS, encodings.clone());
         }
+        answer
     }
 }
 
@@ -133,9 +145,10 @@ where
             Err(status) => Box::pin(std::future::ready(Ok(status.into_http()))),
             Ok(place) => {
                 let guard = Arc::clone(&self.guard);
+                let uri = request.uri().clone();
                 let answer = self.inner.call(request);
                 Box::pin(async move {
-                    let response = guard.explained(answer.await?);
+                    let response = guard.explained(uri.path(), answer.await?);
                     Ok(response.map(|body| Body::new(Held { body, _place: place })))
                 })
             }

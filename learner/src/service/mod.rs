@@ -3,6 +3,7 @@
 mod checkpoints;
 mod fragments;
 mod guard;
+mod health;
 mod learner;
 mod rates;
 mod training;
@@ -13,7 +14,7 @@ use crate::publish::Newest;
 use cross_config::Config;
 use cross_proto::fragment::FragmentSpec;
 use cross_proto::server::{CheckpointsServer, LearnerServer, TrainingServer};
-use cross_proto::{service as names, status, v1};
+use cross_proto::{status, v1};
 use cross_support::incoming::Incoming;
 use cross_support::server::ServerSecurity;
 use guard::{GuardLayer, Limits};
@@ -24,8 +25,6 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
 use tonic::transport::server::Server;
-use tonic_health::ServingStatus;
-use tonic_health::server::{HealthReporter, HealthService};
 
 /// Calls that one connection may have open; an actor has two streams. A client with more of them waits.
 const CALLS_A_CONNECTION: u32 = 100;
@@ -88,10 +87,7 @@ pub(crate) async fn serve(
     };
     // What the learner sends in one message is bounded by itself: a chunk and its frame, however small the limit on actors.
     let outgoing = limit.max(2 * cross_proto::weights::CHUNK_BYTES);
-    let health = HealthReporter::new();
-    // A fresh reporter calls the whole server healthy; it is not, until the model stands.
-    report(&health, ServingStatus::NotServing).await;
-    let reporting = tokio::spawn(follow(health.clone(), shared.life.clone()));
+    let (health, reporting) = health::service(shared.life.clone(), shared.closing.clone()).await;
 
     let learner = LearnerServer::new(learner::LearnerService::new(shared.clone()))
         .max_decoding_message_size(limit)
@@ -102,11 +98,14 @@ pub(crate) async fn serve(
     let training = TrainingServer::new(training::TrainingService::new(shared.clone()))
         .max_decoding_message_size(limit)
         .max_encoding_message_size(outgoing);
-    // The two reflection versions have different types, but describe the same.
+    // The two reflection versions have different types, but describe the same: also each other.
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(cross_proto::FILE_DESCRIPTOR_SET)
             .register_encoded_file_descriptor_set(cross_proto::HEALTH_FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(cross_proto::ERROR_FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_reflection::pb::v1::FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_reflection::pb::v1alpha::FILE_DESCRIPTOR_SET)
     };
     let keepalive = Duration::from_secs(shared.config.learner.lease_seconds).div_f64(3.0);
     let served = Server::builder()
@@ -115,9 +114,7 @@ pub(crate) async fn serve(
         .max_concurrent_streams(CALLS_A_CONNECTION)
         .http2_max_header_list_size(HEADER_BYTES)
         .layer(GuardLayer::new(security, limits))
-        .add_service(tonic_health::pb::health_server::HealthServer::new(HealthService::from_health_reporter(
-            health,
-        )))
+        .add_service(health)
         .add_service(reflection().build_v1()?)
         .add_service(reflection().build_v1alpha()?)
         .add_service(learner)
@@ -127,22 +124,4 @@ pub(crate) async fn serve(
         .await;
     reporting.abort();
     Ok(served?)
-}
-
-/// Keeps health in step with the learner's life.
-async fn follow(health: HealthReporter, mut life: watch::Receiver<Life>) {
-    loop {
-        let now = *life.borrow_and_update();
-        let serving = if now == Life::Serving { ServingStatus::Serving } else { ServingStatus::NotServing };
-        report(&health, serving).await;
-        if life.changed().await.is_err() {
-            return report(&health, ServingStatus::NotServing).await;
-        }
-    }
-}
-
-async fn report(health: &HealthReporter, serving: ServingStatus) {
-    for name in ["", names::LEARNER, names::CHECKPOINTS, names::TRAINING] {
-        health.set_service_status(name, serving).await;
-    }
 }

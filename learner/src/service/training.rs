@@ -66,12 +66,14 @@ impl cross_proto::server::Training for TrainingService {
     }
 
     async fn pause(&self, _: Request<v1::PauseRequest>) -> Result<Response<v1::PauseResponse>, Status> {
+        self.shared.serving().await?;
         self.shared.coordinator.ask(Ask::Pause).await?;
         tracing::info!("paused");
         Ok(Response::new(v1::PauseResponse {}))
     }
 
     async fn resume(&self, _: Request<v1::ResumeRequest>) -> Result<Response<v1::ResumeResponse>, Status> {
+        self.shared.serving().await?;
         self.shared.coordinator.ask(Ask::Resume).await?;
         tracing::info!("resumed");
         Ok(Response::new(v1::ResumeResponse {}))
