@@ -1,6 +1,7 @@
 //! Reading the departures that route files define.
 
 use super::ScenarioError;
+use crate::xml::Bounded;
 use flate2::bufread::MultiGzDecoder;
 use quick_xml::events::{BytesStart, Event};
 use std::fs::File;
@@ -59,16 +60,18 @@ pub(super) fn vehicles(routes: &[PathBuf], begin: f64, end: f64) -> Result<u64, 
     Ok(total.round() as u64)
 }
 
-fn read_text(
+/// As [`read`], from the text of one file; `path` is how errors call it.
+pub(super) fn read_text(
     text: impl BufRead,
     path: &Path,
     times: (f64, f64),
     visit: &mut dyn FnMut(Departures),
 ) -> Result<(), ScenarioError> {
-    let mut xml = quick_xml::Reader::from_reader(text);
+    let mut xml = quick_xml::Reader::from_reader(Bounded::new(text));
     let mut buffer = Vec::new();
     loop {
         buffer.clear();
+        xml.get_mut().next_piece();
         let event = xml.read_event_into(&mut buffer).map_err(|error| ScenarioError::Read {
             path: path.to_owned(),
             source: std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()),
