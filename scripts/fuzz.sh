@@ -28,13 +28,16 @@ targets=("$@")
 
 for target in "${targets[@]}"; do
     # What is found stays here; a failing input is left in failures/ and belongs into fuzz/corpus/ with its fix.
-    found="$target_dir/corpus/$target" failures="$target_dir/failures/$target/"
-    mkdir -p "$found" "$failures" "fuzz/corpus/$target"
+    found="$target_dir/corpus/$target" failures="$target_dir/failures/$target/" written="$target_dir/written/$target"
+    mkdir -p "$found" "$failures" "$written"
+    committed="fuzz/corpus/$target"
+    [ -d "$committed" ] || committed="$written"
     echo "=== $target: $runs inputs, seed $seed"
-    # A watch on memory as a whole and on time as the clock shows it, beside the program's own and tighter ones.
-    CROSS_FUZZ_TARGET="$target" "$program" -runs="$runs" -seed="$seed" -timeout=20 -rss_limit_mb=2048 -malloc_limit_mb=512 \
-        -max_len="$(sed -n "/name: \"$target\"/,/longest/s/.*longest: \(.*\) << 10,/\1/p" fuzz/src/targets/mod.rs | head -1 | awk '{ print $1 ? $1 * 1024 : 512 }')" \
-        -reload=0 -print_final_stats=1 -verbosity=1 -artifact_prefix="$failures" "$found" "fuzz/corpus/$target" \
+    # A watch on memory as a whole and on time as the clock shows it, beside the program's own and tighter ones. The longest
+    # input of all targets; each keeps to its own.
+    CROSS_FUZZ_TARGET="$target" CROSS_FUZZ_SEEDS="$written" "$program" -runs="$runs" -seed="$seed" -max_len=8192 \
+        -timeout=20 -malloc_limit_mb=512 -rss_limit_mb=2048 -reload=0 -print_final_stats=1 \
+        -artifact_prefix="$failures" "$found" "$written" "$committed" \
         > "$target_dir/$target.log" 2>&1 || { tail -n 40 "$target_dir/$target.log"; exit 1; }
     grep -E "^(#[0-9]+[[:space:]]+DONE|Done |stat::)" "$target_dir/$target.log"
 done

@@ -152,6 +152,18 @@ mod tests {
     }
 
     #[test]
+    fn absurd_rates_and_times_leave_numbers() {
+        let flows = [
+            "begin=\"10\" end=\"90\" vehsPerHour=\"1e308\"",
+            "begin=\"0\" end=\"1e-300\" number=\"1e300\"",
+            "end=\"1e308\" probability=\"1\"",
+            "period=\"exp(1e300)\"",
+        ];
+        let arrivals = arrivals(&flows.map(|flow| format!("<flow {flow}/>").repeat(2)).concat(), 0, 120);
+        assert_eq!((arrivals.volume(), arrivals.outside), (240.0, 0.0));
+    }
+
+    #[test]
     fn what_a_flow_sends_after_the_end_is_outside() {
         let flow = "<flow begin=\"30\" end=\"300\" probability=\"0.5\"/>";
         let arrivals = arrivals(flow, 0, 90);

@@ -8,6 +8,11 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
+/// Largest time or rate that is one: some thirty thousand years. Sums of larger ones would be no numbers.
+const LARGEST: f64 = 1e12;
+/// Most vehicles a second of one flow; SUMO inserts one a second on each lane.
+const MOST_PER_SECOND: f64 = 1e6;
+
 /// Something in a route file that makes vehicles depart.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Departures {
@@ -104,10 +109,14 @@ fn flow(element: &BytesStart<'_>, (begin, end): (f64, f64)) -> Option<Departures
         .or_else(|| number(element, "period").map(|period| 1.0 / period))
         .or_else(|| number(element, "probability"))
         .or_else(exponential)?;
-    (per_second.is_finite() && per_second > 0.0).then_some(Departures::Flow { from, until, per_second })
+    (per_second > 0.0 && per_second <= MOST_PER_SECOND).then_some(Departures::Flow {
+        from,
+        until,
+        per_second,
+    })
 }
 
 fn number(element: &BytesStart<'_>, key: &str) -> Option<f64> {
     let value: f64 = element.try_get_attribute(key).ok()??.value.trim().parse().ok()?;
-    (value.is_finite() && value >= 0.0).then_some(value)
+    (0.0..=LARGEST).contains(&value).then_some(value)
 }
