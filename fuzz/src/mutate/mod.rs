@@ -23,6 +23,8 @@ pub fn parts<const N: usize>(input: &mut Vec<u8>, most: usize, rng: &mut ChaCha8
     let others: usize = owned.iter().map(Vec::len).sum::<usize>() - owned[chosen].len();
     mutators[chosen](&mut owned[chosen], most.saturating_sub(others + 4 * N), rng);
     *input = parts::join(owned.each_ref().map(Vec::as_slice));
+    // The lengths may be new: what had no room for them is longer now.
+    input.truncate(most);
 }
 
 /// One of `0..count`; 0 if there is none.
