@@ -107,8 +107,8 @@ pub const TARGETS: &[Target] = &[
         reads: "scenario.toml",
         run: files::scenario,
         mutate: text::lines,
-        // The parser keeps an event of some fifty bytes for each dot of a key, and copies them while it grows.
-        limit: limit(64 << 10, 256),
+        // The parser keeps an event for each dot of a key and each bracket, and copies them while it grows.
+        limit: limit(128 << 10, 512),
         longest: 2 << 10,
         written: none,
     },
@@ -117,7 +117,7 @@ pub const TARGETS: &[Target] = &[
         reads: "a run's configuration, TOML",
         run: files::config,
         mutate: text::lines,
-        limit: limit(128 << 10, 256),
+        limit: limit(128 << 10, 512),
         longest: 4 << 10,
         written: none,
     },
