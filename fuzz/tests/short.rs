@@ -2,7 +2,7 @@
 //!
 //! `make fuzz` goes further, guided by coverage; `CROSS_FUZZ_INPUTS` and `CROSS_FUZZ_TARGET` make this one longer, or of one
 //! target alone.
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may panic")]
 
 use cross_fuzz::limits::Counting;
 use cross_fuzz::{Outcome, TARGETS, Target, check, corpus};
