@@ -13,7 +13,7 @@ IN_ENV := . .deps/environment.sh && unset CARGO_BUILD_TARGET && export CARGO_BUI
 IN_TARGET := --target-dir '$(TARGET)'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup build train baselines test test-setup images verify fix clean distclean
+.PHONY: help setup build train baselines test test-setup fuzz images verify fix clean distclean
 
 help: ## Show this list
 	@echo 'Two commands:  make train   and   make test'
@@ -44,6 +44,9 @@ test: build test-setup ## Every test: set-up, documentation, units, and whole cl
 
 test-setup: setup ## The tests of the set-up and the documentation alone (quick)
 	@$(PYTHON) -B -m unittest discover --quiet --buffer --start-directory scripts/tests --top-level-directory scripts
+
+fuzz: setup ## Fuzz every reader, guided by coverage (TARGETS: which, RUNS: inputs of each; docs/fuzzing.md)
+	@$(IN_ENV) CARGO='$(CARGO)' CARGO_TARGET_DIR='$(TARGET)' scripts/fuzz.sh $(TARGETS)
 
 images: build ## The container images cross-learner and cross-actor, from this build (BUILDER_IMAGE, BASE_IMAGE: other bases)
 	@command -v docker >/dev/null || { echo 'error: docker was not found; docs/cluster.md tells what a cluster needs' >&2; exit 1; }

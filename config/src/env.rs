@@ -65,7 +65,11 @@ impl EnvConfig {
         self.episode_seconds / self.decision_seconds.max(1)
     }
 
-    pub(crate) fn validate(&self) -> Result<(), ConfigError> {
+    /// Checks that the values can work together.
+    ///
+    /// # Errors
+    /// [`ConfigError::Invalid`] with the first key at fault and what it may be.
+    pub fn validate(&self) -> Result<(), ConfigError> {
         in_range("env.decision_seconds", self.decision_seconds, 1, 600)?;
         if self.yellow_seconds >= self.decision_seconds {
             return Err(ConfigError::invalid(

@@ -22,8 +22,10 @@ pub enum ConfigError {
         message: String,
     },
     /// A value that cannot work.
-    #[error("the configuration key {key} {problem}")]
+    #[error("{} {key} {problem}", place(origin.as_deref()))]
     Invalid {
+        /// File or source of the text; none of a configuration that was not read.
+        origin: Option<String>,
         /// Dotted key, as in the file.
         key: &'static str,
         /// What is wrong and what to do.
@@ -34,7 +36,24 @@ pub enum ConfigError {
 impl ConfigError {
     /// An [`ConfigError::Invalid`].
     pub(crate) fn invalid(key: &'static str, problem: impl Into<String>) -> Self {
-        Self::Invalid { key, problem: problem.into() }
+        Self::Invalid { origin: None, key, problem: problem.into() }
+    }
+
+    /// The same, of a text with a name.
+    pub(crate) fn of(self, text: &str) -> Self {
+        match self {
+            Self::Invalid { key, problem, .. } => {
+                Self::Invalid { origin: Some(text.to_owned()), key, problem }
+            }
+            other => other,
+        }
+    }
+}
+
+fn place(origin: Option<&str>) -> String {
+    match origin {
+        Some(origin) => format!("in the configuration {origin} the key"),
+        None => "the configuration key".to_owned(),
     }
 }
 

@@ -72,7 +72,7 @@ impl Config {
     /// [`ConfigError::Parse`] for syntax, unknown keys and wrong types, [`ConfigError::Invalid`] for values that cannot work.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, ConfigError> {
         let config = Self::parse_toml(text, origin)?;
-        config.validate()?;
+        config.validate().map_err(|error| error.of(origin))?;
         Ok(config)
     }
 
@@ -82,8 +82,9 @@ impl Config {
     /// # Errors
     /// As [`Config::from_file`].
     pub fn env_from_file(path: &Path) -> Result<EnvConfig, ConfigError> {
-        let config = Self::parse_toml(&read(path)?, &path.display().to_string())?;
-        config.env.validate()?;
+        let origin = path.display().to_string();
+        let config = Self::parse_toml(&read(path)?, &origin)?;
+        config.env.validate().map_err(|error| error.of(&origin))?;
         Ok(config.env)
     }
 
@@ -103,7 +104,7 @@ impl Config {
             origin: origin.to_owned(),
             message: source.to_string(),
         })?;
-        config.validate()?;
+        config.validate().map_err(|error| error.of(origin))?;
         Ok(config)
     }
 
@@ -220,6 +221,14 @@ mod tests {
             "{error}"
         );
         assert!(!error.contains('\n'), "{error}");
+    }
+
+    #[test]
+    fn a_value_that_cannot_work_is_refused_with_file_and_key() {
+        let error = Config::from_toml("[ppo]\nactor_lr = -inf\n", "my.toml").unwrap_err().to_string();
+        assert!(error.contains("my.toml") && error.contains("ppo.actor_lr is -inf"), "{error}");
+        let error = Config { scenarios: Vec::new(), ..Config::default() }.validate().unwrap_err().to_string();
+        assert!(error.starts_with("the configuration key scenarios is empty"), "{error}");
     }
 
     #[test]

@@ -67,7 +67,11 @@ impl Default for ModelConfig {
 }
 
 impl ModelConfig {
-    pub(crate) fn validate(&self) -> Result<(), ConfigError> {
+    /// Checks that networks can be built of these.
+    ///
+    /// # Errors
+    /// [`ConfigError::Invalid`] with the first key at fault and what it may be.
+    pub fn validate(&self) -> Result<(), ConfigError> {
         in_range("model.hidden", self.hidden, 8, 4096)?;
         in_range("model.latent", self.latent, 2, 4096)?;
         in_range("model.heads", self.heads, 1, 64)?;

@@ -185,6 +185,14 @@ pub(crate) fn networks(
     metadata: &PolicyMetadata,
     sizes: &FeatureSizes,
 ) -> Result<(Net, Net), ModelError> {
+    // Networks are as large as their description says, and that may be wrong: the file must hold as much.
+    let needed = 2 * Net::scalars(&metadata.model, sizes).unsigned_abs() * size_of::<f32>() as u64;
+    if (bytes.len() as u64) < needed {
+        return Err(ModelError::Mismatch {
+            what: "policy",
+            reason: format!("it has {} bytes, and its networks' weights alone take {needed}", bytes.len()),
+        });
+    }
     // The weights are overwritten at once, so the seed does not matter.
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let actor = Net::new(Role::Actor, &metadata.model, sizes, &mut rng);

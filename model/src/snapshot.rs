@@ -170,17 +170,15 @@ pub fn write_policy(actor: &Net, critic: &Net, metadata: &PolicyMetadata) -> Res
     write(tensors, &metadata.to_map())
 }
 
-/// Metadata of a policy file.
+/// Metadata of a policy file: of networks that can be built.
 ///
 /// # Errors
-/// As [`File::read`] and [`File::value`].
+/// As [`File::read`] and [`File::value`]; [`ModelError::Foreign`] also for values that a configuration may not have.
 pub fn read_metadata(bytes: &[u8]) -> Result<PolicyMetadata, ModelError> {
     let file = File::read(bytes, POLICY_FORMAT, "policy")?;
-    Ok(PolicyMetadata {
-        policy_version: file.value("policy_version")?,
-        env: file.json("env")?,
-        model: file.json("model")?,
-    })
+    let (env, model): (EnvConfig, ModelConfig) = (file.json("env")?, file.json("model")?);
+    env.validate().and_then(|()| model.validate()).map_err(|error| file.foreign(error.to_string()))?;
+    Ok(PolicyMetadata { policy_version: file.value("policy_version")?, env, model })
 }
 
 /// Copies a policy file's weights into networks of the same configuration.

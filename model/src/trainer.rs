@@ -278,7 +278,7 @@ impl Trainer {
         let updates: u64 = file.value("updates")?;
         let rng: ChaCha8Rng = file.json("rng")?;
         let steps: (u64, u64) = (file.value("actor_t")?, file.value("critic_t")?);
-        if metadata.policy_version != updates + 1 {
+        if updates.checked_add(1) != Some(metadata.policy_version) {
             return Err(ModelError::Mismatch {
                 what: "checkpoint",
                 reason: format!(

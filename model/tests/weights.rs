@@ -109,3 +109,49 @@ fn the_example_of_the_page_is_the_file_that_was_run() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/reference/load_checkpoint.py");
     assert_eq!(example, std::fs::read_to_string(file).unwrap());
 }
+
+#[test]
+fn the_number_of_parameters_is_known_before_they_are_made() {
+    for gfe in [Gfe::Paper, Gfe::Movement] {
+        for (_, pcc, moe) in VARIANTS {
+            let mut config = Config::default();
+            let model = &mut config.model;
+            (model.gfe, model.pcc, model.moe) = (gfe, pcc, moe);
+            (model.hidden, model.latent, model.heads) = (24, 5, 3);
+            (model.experts, model.top_k, model.clusters) = (7, 3, 11);
+            (config.env.max_movements, config.env.max_phases) = (13, 9);
+            let sizes = FeatureSizes::new(&config.env, &config.model);
+            let net = Net::new(Role::Actor, &config.model, &sizes, &mut ChaCha8Rng::seed_from_u64(0));
+            assert_eq!(
+                Net::scalars(&config.model, &sizes),
+                net.params().scalars() as i64,
+                "{:?}",
+                config.model
+            );
+        }
+    }
+}
+
+#[test]
+fn a_small_file_that_describes_large_networks_is_refused_before_they_are_built() {
+    let described = |hidden: i64| {
+        let config = Config::default();
+        let model = cross_config::ModelConfig { hidden, experts: 1024, ..config.model };
+        let metadata = std::collections::BTreeMap::from([
+            ("format", "cross-policy".to_owned()),
+            ("format_version", "1".to_owned()),
+            ("policy_version", "1".to_owned()),
+            ("env", serde_json::to_string(&config.env).unwrap()),
+            ("model", serde_json::to_string(&model).unwrap()),
+        ]);
+        let metadata = [("cross".to_owned(), serde_json::to_string(&metadata).unwrap())].into();
+        let nothing = Vec::<(String, safetensors::tensor::TensorView<'_>)>::new();
+        safetensors::serialize(nothing, Some(metadata)).unwrap()
+    };
+    // 275 GB of weights, in 500 bytes.
+    let error = cross_model::Policy::from_snapshot(&described(4096)).unwrap_err().to_string();
+    assert!(error.contains("weights alone take"), "{error}");
+    // What no configuration may say, libtorch would answer with a panic.
+    let error = cross_model::Policy::from_snapshot(&described(1 << 40)).unwrap_err().to_string();
+    assert!(error.contains("model.hidden"), "{error}");
+}

@@ -80,7 +80,8 @@ impl Assembler {
         if message.offset == 0 {
             self.policy_version = message.policy_version;
             self.total = total;
-            self.received = Vec::with_capacity(total);
+            // Room for what came, not for what was announced.
+            self.received = Vec::with_capacity(total.min(CHUNK_BYTES));
         }
         if message.policy_version != self.policy_version {
             return Err(Violation::new(
@@ -137,6 +138,14 @@ mod tests {
         let last = complete.pop().flatten();
         assert!(complete.iter().all(Option::is_none), "complete before the last chunk");
         last
+    }
+
+    #[test]
+    fn an_announced_size_takes_no_memory() {
+        let mut assembler = Assembler::new(1 << 30);
+        let message = WatchWeightsResponse { total_bytes: 1 << 30, ..WatchWeightsResponse::default() };
+        assert_eq!(assembler.push(&message), Ok(None));
+        assert!(assembler.received.capacity() <= CHUNK_BYTES);
     }
 
     #[test]

@@ -21,5 +21,6 @@ pub mod preset;
 pub mod scenario;
 pub mod signal;
 pub mod trajectory;
+mod xml;
 
 pub use error::SimError;

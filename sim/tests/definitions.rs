@@ -41,6 +41,15 @@ fn a_short_definition_has_the_defaults_that_published_numbers_need() {
 }
 
 #[test]
+fn more_than_a_year_is_taken_for_a_mistake() {
+    let year = |end: u32| DEFINITION.replace("end = 200", &format!("end = {end}"));
+    assert!(load(&year(100 + 366 * 86_400)).is_ok());
+    // Its arrivals by the minute would take half a gigabyte.
+    let error = load(&year(u32::MAX)).unwrap_err().to_string();
+    assert!(error.contains("scenario.toml") && error.contains("more than a year"), "{error}");
+}
+
+#[test]
 fn a_directory_loads_as_well_as_a_name() {
     let folder = folder(DEFINITION);
     let town = folder.path().join("town");

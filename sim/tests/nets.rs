@@ -286,6 +286,27 @@ fn renumbered() -> impl Strategy<Value = Vec<u8>> {
     })
 }
 
+#[test]
+fn an_element_with_absurdly_many_attributes_is_refused_before_they_are_compared() {
+    let attributes: String = (0..200_000).map(|number| format!(" a{number}=''")).collect();
+    let error = parse(&format!("<net><edge id='e'{attributes}/></net>")).unwrap_err().to_string();
+    assert!(error.contains("more than 256 attributes"), "{error}");
+}
+
+#[test]
+fn a_small_compressed_file_cannot_fill_the_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bomb.net.xml.gz");
+    let mut file = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    file.write_all(b"<net><!--").unwrap();
+    for _ in 0..20 {
+        file.write_all(&vec![b' '; 1 << 20]).unwrap();
+    }
+    std::fs::write(&path, file.finish().unwrap()).unwrap();
+    let error = Net::read(&path).unwrap_err().to_string();
+    assert!(error.contains("a single tag or text in it has more than"), "{error}");
+}
+
 proptest! {
     #[test]
     fn no_input_makes_the_reader_panic(bytes in prop_oneof![mutated(), renumbered()]) {

@@ -1,6 +1,7 @@
 //! One socket, one message at a time, a deadline on each.
 
-use crate::codec::{DecodeError, Frame, MAX_MESSAGE, frame};
+use crate::codec::{DecodeError, MAX_MESSAGE};
+use crate::intake::Intake;
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
@@ -25,17 +26,11 @@ impl From<io::Error> for Fault {
     }
 }
 
-/// The buffer grows by at most this much ahead of bytes that really came, whatever length the message declares.
-const GROWTH: usize = 1 << 20;
-
 /// A connected socket with its receive buffer.
 #[derive(Debug)]
 pub(crate) struct Connection {
     stream: TcpStream,
-    /// Received bytes; only the first `filled` mean anything. Kept between messages, so that steady traffic does not
-    /// allocate.
-    buffer: Vec<u8>,
-    filled: usize,
+    received: Intake,
 }
 
 impl Connection {
@@ -44,7 +39,7 @@ impl Connection {
         let stream = TcpStream::connect_timeout(&address, timeout.max(Duration::from_millis(1)))?;
         // Small messages in strict alternation: waiting to fill a packet would cost 40 ms each.
         stream.set_nodelay(true)?;
-        Ok(Self { stream, buffer: Vec::new(), filled: 0 })
+        Ok(Self { stream, received: Intake::default() })
     }
 
     /// Sends `message`, whose first four bytes are still to be its length, and receives the answer. Its body is then
@@ -58,14 +53,14 @@ impl Connection {
             return Err(Fault::Protocol(DecodeError::Length { declared, limit: MAX_MESSAGE }));
         };
         *header = declared.to_be_bytes();
-        self.filled = 0;
+        self.received.clear();
         self.send(message, deadline)?;
         self.receive(deadline)
     }
 
     /// The last answer without its length.
     pub(crate) fn body(&self) -> &[u8] {
-        self.buffer.get(4..self.filled).unwrap_or_default()
+        self.received.body()
     }
 
     /// Ends the connection in both directions; a second time does nothing.
@@ -88,27 +83,16 @@ impl Connection {
     }
 
     fn receive(&mut self, deadline: Option<Instant>) -> Result<(), Fault> {
-        loop {
-            let missing = match frame(&self.buffer[..self.filled], MAX_MESSAGE).map_err(Fault::Protocol)? {
-                Frame::Complete { length } if length == self.filled => return Ok(()),
-                // Commands and answers alternate, so nothing may follow an answer.
-                Frame::Complete { length } => {
-                    return Err(Fault::Protocol(DecodeError::Trailing(self.filled - length)));
-                }
-                Frame::NeedMore(missing) => missing,
-            };
-            let wanted = self.filled + missing.min(GROWTH);
-            if self.buffer.len() < wanted {
-                self.buffer.resize(wanted.next_power_of_two().max(1 << 14), 0);
-            }
+        while let Some(space) = self.received.wanted().map_err(Fault::Protocol)? {
             self.stream.set_read_timeout(left(deadline)?)?;
-            match self.stream.read(&mut self.buffer[self.filled..]) {
+            match self.stream.read(space) {
                 Ok(0) => return Err(Fault::Closed("end of the stream".to_owned())),
-                Ok(count) => self.filled += count,
+                Ok(count) => self.received.took(count),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => return Err(error.into()),
             }
         }
+        Ok(())
     }
 }
 

@@ -247,7 +247,11 @@ fn checked(checkpoint: &Path, name: &'static str, metadata: &Metadata) -> Result
     Ok(bytes)
 }
 
-fn tensors_of(bytes: &[u8], path: &Path) -> Result<Vec<Tensor>, CheckpointError> {
+/// The tensors of a safetensors file's bytes, by name; `path` is how errors call it.
+///
+/// # Errors
+/// [`CheckpointError::Foreign`] if it is no such file.
+pub fn tensors_of(bytes: &[u8], path: &Path) -> Result<Vec<Tensor>, CheckpointError> {
     let foreign = |error: safetensors::SafeTensorError| CheckpointError::Foreign {
         path: path.to_owned(),
         reason: format!("it is not a safetensors file ({error})"),

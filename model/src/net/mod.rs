@@ -23,7 +23,7 @@ use crate::batch::Batch;
 use crate::features::FeatureSizes;
 use crate::params::{Init, Params};
 use crate::placement::Placement;
-use cross_config::ModelConfig;
+use cross_config::{Gfe, ModelConfig};
 use gfe::{GfeNet, PhaseFeatures};
 use layers::Linear;
 use moe::{Moe, Pattern};
@@ -130,6 +130,41 @@ impl Net {
         // One column: nothing to gain from a lower precision, and logits and values would lose digits.
         let head = Linear::with_gain(&mut init.sub("head"), config.hidden, 1, gain).in_full_precision();
         Self { params, gfe, pcc, moe, head, device: placement.device }
+    }
+
+    /// How many parameters (scalars) such a network has, without building it. The configuration must be a valid one.
+    #[must_use]
+    pub fn scalars(config: &ModelConfig, sizes: &FeatureSizes) -> i64 {
+        let linear = |inputs: i64, outputs: i64| (inputs + 1) * outputs;
+        let mlp = |inputs: i64, hidden: i64, outputs: i64| linear(inputs, hidden) + linear(hidden, outputs);
+        let (hidden, latent) = (config.hidden, config.latent);
+        let square = linear(hidden, hidden);
+        let (phase, state, target, gfe) = match config.gfe {
+            Gfe::Paper => {
+                let gfe = mlp(sizes.movements, 64, hidden) + mlp(sizes.state, hidden, hidden);
+                (sizes.movements, sizes.state, sizes.state, gfe)
+            }
+            Gfe::Movement => {
+                let attention = 2 * hidden + 2 * square + 2 * sizes.lane * hidden;
+                let gfe = mlp(sizes.phase, hidden, hidden) + mlp(2 * hidden, hidden, hidden) + attention;
+                (sizes.phase, 2 * sizes.phase, sizes.pooled, gfe)
+            }
+        };
+        let recurrent = 6 * square + 2 * square;
+        let pcc = 2 * hidden * (phase + state)
+            + linear(sizes.topology, 2 * hidden)
+            + linear(hidden, latent)
+            + linear(latent, target)
+            + linear(latent, latent)
+            + 2 * latent
+            + config.clusters * latent;
+        let context = if config.pcc { latent } else { 0 };
+        let moe = if config.moe {
+            mlp(hidden + context, hidden, config.experts) + config.experts * mlp(hidden, hidden, hidden)
+        } else {
+            mlp(hidden, config.top_k * hidden, hidden)
+        };
+        gfe + recurrent + if config.pcc { pcc } else { 0 } + moe + linear(hidden, 1)
     }
 
     /// Names and tensors of its weights.

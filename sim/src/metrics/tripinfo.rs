@@ -3,6 +3,7 @@
 //! The file must have been written with `--tripinfo-output.write-unfinished` and `--tripinfo-output.write-undeparted`;
 //! without them the vehicles that fared worst would be missing from every mean.
 
+use crate::xml::Bounded;
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 use std::fs::File;
@@ -92,7 +93,7 @@ pub fn parse_trips(
     path: &Path,
     each: &mut dyn FnMut(&Trip),
 ) -> Result<(), TripInfoError> {
-    let mut reader = Reader::from_reader(text);
+    let mut reader = Reader::from_reader(Bounded::new(text));
     let mut buffer = Vec::new();
     let mut open: usize = 0;
     // The vehicle whose element is open: its emissions stand inside.
@@ -105,6 +106,7 @@ pub fn parse_trips(
     };
     loop {
         buffer.clear();
+        reader.get_mut().next_piece();
         let event = match reader.read_event_into(&mut buffer) {
             Ok(event) => event,
             Err(quick_xml::Error::Io(source)) => {

@@ -1,6 +1,7 @@
 //! Streaming reader of `.net.xml`.
 
 use super::{Edge, Junction, Link, Net, NetError, NetLane, PhaseTimes, Program, TrafficLight};
+use crate::xml::{Bounded, MOST_ATTRIBUTES};
 use flate2::bufread::MultiGzDecoder;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
@@ -24,11 +25,12 @@ pub(super) fn read(path: &Path) -> Result<Net, NetError> {
 }
 
 pub(super) fn parse(text: impl BufRead, path: &Path) -> Result<Net, NetError> {
-    let mut xml = quick_xml::Reader::from_reader(text);
+    let mut xml = quick_xml::Reader::from_reader(Bounded::new(text));
     let mut builder = Builder::new(path);
     let mut buffer = Vec::new();
     loop {
         buffer.clear();
+        xml.get_mut().next_piece();
         let position = xml.buffer_position();
         let event = xml.read_event_into(&mut buffer).map_err(|error| builder.syntax(position, error))?;
         let result = match event {
@@ -49,6 +51,10 @@ pub(super) fn parse(text: impl BufRead, path: &Path) -> Result<Net, NetError> {
             Fault::Attribute(message) => {
                 NetError::Xml { path: path.to_owned(), position, message: message.to_string() }
             }
+            Fault::TooManyAttributes => {
+                let message = format!("an element has more than {MOST_ATTRIBUTES} attributes");
+                NetError::Xml { path: path.to_owned(), position, message }
+            }
         })?;
     }
 }
@@ -58,6 +64,7 @@ enum Fault {
     Net(NetError),
     /// Malformed attributes; boxed because the parser's error is much larger than the other variant.
     Attribute(Box<quick_xml::Error>),
+    TooManyAttributes,
 }
 
 impl From<NetError> for Fault {
@@ -383,6 +390,9 @@ impl Attributes {
     fn of(element: &BytesStart<'_>) -> Result<Self, Fault> {
         let mut attributes = Vec::new();
         for attribute in element.attributes() {
+            if attributes.len() == MOST_ATTRIBUTES {
+                return Err(Fault::TooManyAttributes);
+            }
             let attribute = attribute.map_err(|error| Fault::Attribute(Box::new(error.into())))?;
             let value = attribute
                 .normalized_value(XmlVersion::Implicit1_0)

@@ -2,7 +2,8 @@
 
 use super::ScenarioError;
 use super::demand::{self, Departures};
-use std::path::PathBuf;
+use std::io::BufRead;
+use std::path::{Path, PathBuf};
 
 const MINUTE: f64 = 60.0;
 
@@ -20,12 +21,28 @@ pub struct Arrivals {
 
 impl Arrivals {
     pub(super) fn count(routes: &[PathBuf], begin: u32, end: u32) -> Result<Self, ScenarioError> {
+        let mut arrivals = Self::none(begin, end);
         let (begin, end) = (f64::from(begin), f64::from(end));
-        // An hour or a day: far fewer minutes than memory could not hold.
-        let minutes = ((end - begin) / MINUTE).ceil() as usize;
-        let mut arrivals = Self { per_minute: vec![0.0; minutes], outside: 0.0, untimed: 0 };
         demand::read(routes, begin, end, &mut |departures| arrivals.add(departures, begin, end))?;
         Ok(arrivals)
+    }
+
+    /// Reads the text of one route file; `path` is how errors call it.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Read`] if it is not XML.
+    pub fn parse(text: impl BufRead, path: &Path, begin: u32, end: u32) -> Result<Self, ScenarioError> {
+        let mut arrivals = Self::none(begin, end);
+        let (begin, end) = (f64::from(begin), f64::from(end));
+        let add = &mut |departures| arrivals.add(departures, begin, end);
+        demand::read_text(text, path, (begin, end), add)?;
+        Ok(arrivals)
+    }
+
+    fn none(begin: u32, end: u32) -> Self {
+        // A definition spans a year at most, which is half a million minutes.
+        let minutes = f64::from(end.saturating_sub(begin)) / MINUTE;
+        Self { per_minute: vec![0.0; minutes.ceil() as usize], outside: 0.0, untimed: 0 }
     }
 
     fn add(&mut self, departures: Departures, begin: f64, end: f64) {
@@ -132,6 +149,18 @@ mod tests {
         {
             assert_eq!(arrivals(&format!("<flow {without}/>"), 0, 120).volume(), 0.0, "{without}");
         }
+    }
+
+    #[test]
+    fn absurd_rates_and_times_leave_numbers() {
+        let flows = [
+            "begin=\"10\" end=\"90\" vehsPerHour=\"1e308\"",
+            "begin=\"0\" end=\"1e-300\" number=\"1e300\"",
+            "end=\"1e308\" probability=\"1\"",
+            "period=\"exp(1e300)\"",
+        ];
+        let arrivals = arrivals(&flows.map(|flow| format!("<flow {flow}/>").repeat(2)).concat(), 0, 120);
+        assert_eq!((arrivals.volume(), arrivals.outside), (240.0, 0.0));
     }
 
     #[test]

@@ -1,7 +1,12 @@
 //! The text of a `scenario.toml`.
 
+use super::ScenarioError;
 use crate::generate::GridOptions;
 use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Longest time between begin and end: demand is counted by the minute, and a typing error must not ask for all memory.
+const MAX_SECONDS: u32 = 366 * 86_400;
 
 /// What a `scenario.toml` may say; unknown keys are refused.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -32,6 +37,44 @@ pub(super) struct Definition {
     /// What net and demand must hash to.
     #[serde(default)]
     pub(super) pin: Pin,
+}
+
+impl Definition {
+    /// Reads a definition and checks what can be checked without its files.
+    pub(super) fn parse(text: &str, path: &Path) -> Result<Self, ScenarioError> {
+        let wrong = |message: String| ScenarioError::Parse { path: path.to_owned(), message };
+        let definition: Self =
+            toml::from_str(text).map_err(|error| wrong(cross_config::toml_problem(text, &error)))?;
+        if definition.end <= definition.begin {
+            return Err(wrong(format!(
+                "end is {}, which is not after begin, {}",
+                definition.end, definition.begin
+            )));
+        }
+        if definition.end - definition.begin > MAX_SECONDS {
+            return Err(wrong(format!(
+                "end is {}, more than a year ({MAX_SECONDS} s) after begin, {}; times are in seconds",
+                definition.end, definition.begin
+            )));
+        }
+        match (&definition.net, definition.routes.as_slice(), &definition.generate) {
+            (Some(_), [_, ..], None) => {}
+            (None, [], Some(generate)) => {
+                generate.grid.validate().map_err(|error| wrong(error.to_string()))?;
+            }
+            _ => return Err(wrong(definition.missing_files().to_owned())),
+        }
+        Ok(definition)
+    }
+
+    /// What is wrong where neither files nor `[generate]` stand alone.
+    pub(super) fn missing_files(&self) -> &'static str {
+        match (&self.net, &self.generate) {
+            (_, Some(_)) => "[generate] makes net and routes; take out either it or them",
+            (None, None) => "net is missing; name a net, or add a [generate] table",
+            (Some(_), None) => "routes is empty; name at least one route file",
+        }
+    }
 }
 
 /// A net and a demand that are built here.

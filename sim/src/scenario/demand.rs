@@ -1,11 +1,17 @@
 //! Reading the departures that route files define.
 
 use super::ScenarioError;
+use crate::xml::Bounded;
 use flate2::bufread::MultiGzDecoder;
 use quick_xml::events::{BytesStart, Event};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
+
+/// Largest time or rate that is one: some thirty thousand years. Sums of larger ones would be no numbers.
+const LARGEST: f64 = 1e12;
+/// Most vehicles a second of one flow; SUMO inserts one a second on each lane.
+const MOST_PER_SECOND: f64 = 1e6;
 
 /// Something in a route file that makes vehicles depart.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,16 +65,18 @@ pub(super) fn vehicles(routes: &[PathBuf], begin: f64, end: f64) -> Result<u64, 
     Ok(total.round() as u64)
 }
 
-fn read_text(
+/// As [`read`], from the text of one file; `path` is how errors call it.
+pub(super) fn read_text(
     text: impl BufRead,
     path: &Path,
     times: (f64, f64),
     visit: &mut dyn FnMut(Departures),
 ) -> Result<(), ScenarioError> {
-    let mut xml = quick_xml::Reader::from_reader(text);
+    let mut xml = quick_xml::Reader::from_reader(Bounded::new(text));
     let mut buffer = Vec::new();
     loop {
         buffer.clear();
+        xml.get_mut().next_piece();
         let event = xml.read_event_into(&mut buffer).map_err(|error| ScenarioError::Read {
             path: path.to_owned(),
             source: std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()),
@@ -101,10 +109,14 @@ fn flow(element: &BytesStart<'_>, (begin, end): (f64, f64)) -> Option<Departures
         .or_else(|| number(element, "period").map(|period| 1.0 / period))
         .or_else(|| number(element, "probability"))
         .or_else(exponential)?;
-    (per_second.is_finite() && per_second > 0.0).then_some(Departures::Flow { from, until, per_second })
+    (per_second > 0.0 && per_second <= MOST_PER_SECOND).then_some(Departures::Flow {
+        from,
+        until,
+        per_second,
+    })
 }
 
 fn number(element: &BytesStart<'_>, key: &str) -> Option<f64> {
     let value: f64 = element.try_get_attribute(key).ok()??.value.trim().parse().ok()?;
-    (value.is_finite() && value >= 0.0).then_some(value)
+    (0.0..=LARGEST).contains(&value).then_some(value)
 }

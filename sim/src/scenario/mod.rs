@@ -72,21 +72,14 @@ impl Scenario {
         let path = directory.join(DEFINITION_FILE);
         let text = std::fs::read_to_string(&path)
             .map_err(|source| ScenarioError::Read { path: path.clone(), source })?;
+        let definition = Definition::parse(&text, &path)?;
         let wrong = |message: String| ScenarioError::Parse { path: path.clone(), message };
-        let definition: Definition =
-            toml::from_str(&text).map_err(|error| wrong(cross_config::toml_problem(&text, &error)))?;
-        let name = match definition.name {
-            Some(name) => name,
+        let name = match &definition.name {
+            Some(name) => name.clone(),
             None => directory_name(directory).ok_or_else(|| {
                 wrong("the directory has no name to call the scenario by; add name = \"...\"".into())
             })?,
         };
-        if definition.end <= definition.begin {
-            return Err(wrong(format!(
-                "end is {}, which is not after begin, {}",
-                definition.end, definition.begin
-            )));
-        }
         let import = definition.import.as_ref();
         let resolve = |file: &String| resolve(&name, directory, file, import);
         let (net, routes) = match (&definition.net, definition.routes.as_slice(), &definition.generate) {
@@ -99,13 +92,7 @@ impl Scenario {
                 )?;
                 (files.net, vec![files.routes])
             }
-            (_, _, Some(_)) => {
-                return Err(wrong("[generate] makes net and routes; take out either it or them".to_owned()));
-            }
-            (None, _, None) => {
-                return Err(wrong("net is missing; name a net, or add a [generate] table".to_owned()));
-            }
-            (_, [], None) => return Err(wrong("routes is empty; name at least one route file".to_owned())),
+            _ => return Err(wrong(definition.missing_files().to_owned())),
         };
         let additional = definition.additional.iter().map(resolve).collect::<Result<Vec<_>, _>>()?;
         let scenario = Self {
@@ -169,6 +156,14 @@ impl Scenario {
     pub fn vehicles(&self) -> Result<u64, ScenarioError> {
         demand::vehicles(&self.routes, f64::from(self.begin), f64::from(self.end))
     }
+}
+
+/// Checks the text of a `scenario.toml` alone, without looking at the files that it names; `path` is how errors call it.
+///
+/// # Errors
+/// [`ScenarioError::Parse`] names the line or key at fault.
+pub fn check_definition(text: &str, path: &Path) -> Result<(), ScenarioError> {
+    Definition::parse(text, path).map(drop)
 }
 
 /// All scenarios that [`Scenario::load`] knows by name.

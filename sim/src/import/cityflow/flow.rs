@@ -5,6 +5,7 @@ use serde::Deserialize;
 use serde::de::{DeserializeSeed, Error as _, SeqAccess, Visitor};
 use std::collections::HashMap;
 use std::fmt;
+use std::io::Read;
 use std::path::Path;
 
 /// A million vehicles are more than any simulation of an hour moves, and a sign of a wrong unit.
@@ -51,7 +52,11 @@ pub(super) struct Demand {
 
 /// Reads a flow file for a road network; `end` is the time at which the simulation ends, seconds.
 pub(super) fn read(path: &Path, roads: &RoadNet, end: f64) -> Result<Demand, ImportError> {
-    let text = input::open(path, MAX_BYTES)?;
+    parse(input::open(path, MAX_BYTES)?, path, roads, end)
+}
+
+/// As [`read`], from a text; `path` is how errors call it.
+pub(super) fn parse(text: impl Read, path: &Path, roads: &RoadNet, end: f64) -> Result<Demand, ImportError> {
     let mut refused = None;
     let mut reader = FlowReader {
         linked: roads.linked_roads(),

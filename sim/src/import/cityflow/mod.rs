@@ -26,7 +26,7 @@ use crate::net::Net;
 use cross_traci::sumo::SumoHome;
 use flow::Demand;
 use roadnet::RoadNet;
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 /// A scenario that was imported.
@@ -58,6 +58,25 @@ pub fn import(
     write_definition(folder.path(), new)?;
     converted.items.extend(demand_items(&demand, new.end));
     Ok(Imported { folder: folder.finish()?, report: converted.items })
+}
+
+/// What an import would make of the two texts, until SUMO's netconvert takes over; `end` is the time at which the simulation
+/// ends, seconds. Errors call them `roadnet` and `flow`.
+///
+/// # Errors
+/// [`ImportError`] as of [`import`].
+pub fn check(roadnet: impl Read, flow: impl Read, end: u32) -> Result<Vec<Item>, ImportError> {
+    let roads = RoadNet::parse(roadnet, Path::new("roadnet"))?;
+    let demand = flow::parse(flow, Path::new("flow"), &roads, f64::from(end))?;
+    let mut converted = convert::convert(&roads);
+    let written = converted.net.write_nodes(io::sink());
+    let written = written.and_then(|()| converted.net.write_edges(io::sink()));
+    let written = written.and_then(|()| converted.net.write_connections(io::sink()));
+    let written = written.and_then(|()| converted.net.write_programs(io::sink()));
+    let written = written.and_then(|()| write_routes(&roads, &demand, io::sink()));
+    written.map_err(|source| ImportError::Read { path: "roadnet".into(), source })?;
+    converted.items.extend(demand_items(&demand, end));
+    Ok(converted.items)
 }
 
 /// Counts what netconvert left out of the net it was asked for.

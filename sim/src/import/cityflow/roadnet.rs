@@ -3,6 +3,7 @@
 use super::{ImportError, input};
 use serde::Deserialize;
 use std::collections::{HashMap, HashSet};
+use std::io::Read;
 use std::path::Path;
 
 /// A city of ten thousand intersections has 300 MB; beyond that a file is not one.
@@ -105,7 +106,11 @@ pub(super) struct Lane {
 impl RoadNet {
     /// Reads and checks a file.
     pub(super) fn read(path: &Path) -> Result<Self, ImportError> {
-        let text = input::open(path, MAX_BYTES)?;
+        Self::parse(input::open(path, MAX_BYTES)?, path)
+    }
+
+    /// Reads and checks a text; `path` is how errors call it.
+    pub(super) fn parse(text: impl Read, path: &Path) -> Result<Self, ImportError> {
         let mut net: Self =
             serde_json::from_reader(text).map_err(|error| ImportError::json(path, "roadnet", &error))?;
         net.index().and_then(|()| net.check()).map_err(|what| ImportError::content(path, what))?;
