@@ -8,7 +8,7 @@ use cross_bench::update::data::{Shape, episodes, network};
 use cross_config::{ComputeDevice, Config, Detection, Gfe};
 use cross_model::adam::zero_gradients;
 use cross_model::features::{FeatureSizes, NetworkSpec};
-use cross_model::losses::{self, Loss};
+use cross_model::losses;
 use cross_model::net::{Net, Role};
 use cross_model::rounds::{Minibatch, Networks, Round};
 use cross_model::{Trainer, snapshot};

@@ -201,11 +201,6 @@ impl Batch {
         &self.sample_of_row
     }
 
-    /// Sequences of each group.
-    pub(crate) fn group_sequences(&self) -> Vec<i64> {
-        self.groups.iter().map(|group| group.samples / self.steps).collect()
-    }
-
     /// Samples of each group.
     pub(crate) fn group_samples(&self) -> Vec<i64> {
         self.groups.iter().map(|group| group.samples).collect()
@@ -272,6 +267,15 @@ impl Batch {
         let groups = self.groups.iter().zip(padded.split_with_sizes(self.group_samples(), 0));
         groups.map(|(group, own)| own.narrow(1, 0, group.columns)).collect()
     }
+}
+
+/// A table of whole numbers, row by row.
+pub(crate) fn whole_numbers(table: &Tensor) -> Vec<i64> {
+    let flat = table.to_device(Device::Cpu).contiguous().view([-1]);
+    let mut values = vec![0i64; flat.numel()];
+    let count = values.len();
+    flat.copy_data(&mut values, count);
+    values
 }
 
 fn phases_of(sequence: &Sequence<'_>) -> usize {

@@ -189,7 +189,7 @@ fn prediction(net: &Net, pcc: &PccOutput, batch: &Batch, targets: &Targets) -> O
             (Tensor::stack(&sums, 0).sum(Kind::Float), mask.sum(Kind::Float))
         }
         Inputs::Movement(_) => {
-            let predicted = net.predict(pcc, batch, &targets.chosen_rows)?;
+            let predicted = net.predict(pcc, &targets.chosen_rows)?;
             let width = predicted.size()[1] as f64;
             (square_sum(&(predicted - &targets.next), &has_next), has_next.sum(Kind::Float) * width)
         }

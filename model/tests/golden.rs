@@ -11,6 +11,7 @@
 mod fixture;
 
 use cross_model::adam::{Adam, zero_gradients};
+use cross_model::batch::Batch;
 use cross_model::features::Track;
 use cross_model::losses::{self, Loss};
 use cross_model::net::{Forward, Net, Role};
@@ -115,9 +116,16 @@ fn features_are_the_references() {
     }
 }
 
+/// A forward pass, one way or the other.
+type Pass = fn(&Net, &Batch, &Tensor) -> Forward;
+
+/// As on the CPU, and as on every other device.
+const PASSES: [(&str, Pass); 2] =
+    [("with loops of its own", Net::forward), ("by libtorch alone", Net::forward_without_loops)];
+
 #[test]
 fn forward_losses_gradients_and_adam_are_the_references() {
-    for name in FIXTURES {
+    for (name, (way, pass)) in FIXTURES.into_iter().flat_map(|name| PASSES.map(|pass| (name, pass))) {
         let fixture = Fixture::load(name);
         let learning = Learning::new(&fixture);
         let mut report = Report::default();
@@ -126,7 +134,7 @@ fn forward_losses_gradients_and_adam_are_the_references() {
             let mut adam = Adam::new(net.params());
             for step in 0..ADAM_STEPS {
                 zero_gradients(net.params());
-                let forward = net.forward(&learning.minibatch.batch, learning.state(role));
+                let forward = pass(net, &learning.minibatch.batch, learning.state(role));
                 let loss = loss(role, net, &forward, &fixture, &learning);
                 loss.backward().unwrap();
                 let key = format!("loss/{}/totals", role.name());
@@ -146,7 +154,7 @@ fn forward_losses_gradients_and_adam_are_the_references() {
             }
             compare_after(&fixture, net.params().iter(), &mut report);
         }
-        println!("{name}\n{}", report.lines());
+        println!("{name}, {way}\n{}", report.lines());
         report.at_most(&[
             ("target", 1e-5),
             ("forward", 1e-5),

@@ -8,6 +8,7 @@
 //! ```
 
 mod experts;
+mod gate;
 mod gfe;
 mod gru;
 mod lanes;
@@ -198,7 +199,7 @@ impl Net {
 
     fn pass(&self, batch: &Batch, state: &Tensor, mut tape: Tape) -> Forward {
         let gfe = self.gfe.forward(batch, state, &mut tape);
-        let clustered = self.pcc.as_ref().map(|pcc| (pcc.forward(batch), pcc.centres()));
+        let clustered = self.pcc.as_ref().map(|pcc| (pcc.forward(batch, &mut tape), pcc.centres()));
         let pattern = clustered.as_ref().map(|(pcc, centres)| Pattern { weights: &pcc.weights, centres });
         let moe = self.moe.forward(batch, &gfe.h_sp, pattern.as_ref(), &self.head, &mut tape);
         let pcc = clustered.map(|(pcc, _)| pcc);
@@ -241,8 +242,8 @@ impl Net {
 
     /// The linear prediction `[samples, target]` of the next step's features from the chosen phases' latents.
     #[must_use]
-    pub fn predict(&self, pcc: &PccOutput, batch: &Batch, chosen_rows: &Tensor) -> Option<Tensor> {
-        self.pcc.as_ref().map(|module| module.predict(pcc, batch, chosen_rows))
+    pub fn predict(&self, pcc: &PccOutput, chosen_rows: &Tensor) -> Option<Tensor> {
+        self.pcc.as_ref().map(|module| module.predict(pcc, chosen_rows))
     }
 
     /// The same in the form `paper`, an entry for each group, of the state's columns that are not padding in all of it.

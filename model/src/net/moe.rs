@@ -10,10 +10,10 @@ use super::gfe::PhaseFeatures;
 use super::join;
 use super::layers::{Linear, Mlp};
 use super::tape::Tape;
-use crate::batch::Batch;
+use crate::batch::{Batch, whole_numbers};
 use crate::params::Init;
 use cross_config::ModelConfig;
-use tch::{Device, Kind, Tensor};
+use tch::{Kind, Tensor};
 
 /// What the mixture gives for every packed phase row.
 #[derive(Debug)]
@@ -78,8 +78,8 @@ impl Moe {
         let scores = match h_sp {
             PhaseFeatures::Sum(phases, samples, phase_of_row) if tape.loops() => {
                 let parts = self.parts(phases, samples, head);
-                let (phase, sample) = (numbers(phase_of_row), numbers(batch.sample_of_row()));
-                let table = Table { k: self.top_k as usize, expert: numbers(&indices), phase, sample };
+                let (phase, sample) = (whole_numbers(phase_of_row), whole_numbers(batch.sample_of_row()));
+                let table = Table { k: self.top_k as usize, expert: whole_numbers(&indices), phase, sample };
                 experts::scores(parts, table, tape)
             }
             _ => self.planned(batch, h_sp, &indices, head).view_as(&alpha),
@@ -187,7 +187,7 @@ impl Plan {
     /// One reading of the table and a counting sort: cheaper than a search per expert, on a GPU too.
     fn new(table: &Tensor, experts: usize) -> Self {
         let k = table.size()[1];
-        let entries = numbers(table);
+        let entries = whole_numbers(table);
         let mut counts = vec![0i64; experts];
         for &expert in &entries {
             counts[expert as usize] += 1;
@@ -214,15 +214,6 @@ impl Plan {
     }
 }
 
-/// A table of whole numbers, row by row.
-fn numbers(table: &Tensor) -> Vec<i64> {
-    let flat = table.to_device(Device::Cpu).contiguous().view([-1]);
-    let mut values = vec![0i64; flat.numel()];
-    let count = values.len();
-    flat.copy_data(&mut values, count);
-    values
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -232,8 +223,8 @@ mod tests {
         let table = Tensor::from_slice(&[2i64, 0, 0, 2, 2, 3]).view([3, 2]);
         let plan = Plan::new(&table, 4);
         assert_eq!(plan.counts, [2, 0, 3, 1]);
-        assert_eq!(numbers(&plan.rows), [0, 1, 0, 1, 2, 2]);
-        assert_eq!(numbers(&plan.experts), [0, 0, 2, 2, 2, 3]);
-        assert_eq!(numbers(&plan.places), [2, 0, 1, 3, 4, 5]);
+        assert_eq!(whole_numbers(&plan.rows), [0, 1, 0, 1, 2, 2]);
+        assert_eq!(whole_numbers(&plan.experts), [0, 0, 2, 2, 2, 3]);
+        assert_eq!(whole_numbers(&plan.places), [2, 0, 1, 3, 4, 5]);
     }
 }

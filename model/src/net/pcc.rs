@@ -4,9 +4,11 @@
 //! phase per row (in the form `paper` per agent), topology per agent. The latent z is linear in what the gated unit gives,
 //! and rows need only z's projection, which is linear in turn: z itself is computed where a prediction is asked for.
 
+use super::gate::{self, Sums};
 use super::join;
 use super::layers::{LayerNorm, Linear, Projection};
-use crate::batch::{Batch, Inputs};
+use super::tape::Tape;
+use crate::batch::{Batch, Inputs, whole_numbers};
 use crate::features::FeatureSizes;
 use crate::params::Init;
 use cross_config::{Gfe, ModelConfig};
@@ -15,8 +17,8 @@ use tch::{Kind, Tensor};
 /// What clustering gives for every packed phase row.
 #[derive(Debug)]
 pub struct PccOutput {
-    /// What the gated unit gives, one entry `[samples * phases, hidden]` per group.
-    hidden: Vec<Tensor>,
+    /// What the gated unit gives `[rows, hidden]`.
+    hidden: Tensor,
     /// Cosine similarities to the centres `[rows, clusters]`.
     pub similarity: Tensor,
     /// Soft assignment `[rows, clusters]`.
@@ -59,11 +61,9 @@ impl Pcc {
         }
     }
 
-    pub(super) fn forward(&self, batch: &Batch) -> PccOutput {
-        let hidden = self.hidden(batch);
-        let project = self.project.after(&self.second);
-        let projected: Vec<Tensor> = hidden.iter().map(|own| project.forward(own)).collect();
-        let phi = self.norm.forward(&join(projected));
+    pub(super) fn forward(&self, batch: &Batch, tape: &mut Tape) -> PccOutput {
+        let hidden = self.hidden(batch, tape);
+        let phi = self.norm.forward(&self.project.after(&self.second).forward(&hidden));
         // Divided by their length after the product: six numbers instead of the whole row.
         let length = phi.norm_scalaropt_dim(2, [1i64].as_slice(), true);
         let similarity = phi.matmul(&unit_rows(&self.centres).transpose(0, 1)) / length.clamp_min(1e-6);
@@ -71,48 +71,51 @@ impl Pcc {
         PccOutput { hidden, similarity, weights: log_weights.exp(), log_weights }
     }
 
-    /// The gated unit on `[S, G^p, I]`, group by group, so that what phases or steps share is added without being copied.
-    fn hidden(&self, batch: &Batch) -> Vec<Tensor> {
-        let (states, static_phases) = match &batch.inputs {
+    /// The gated unit on `[S, G^p, I]` `[rows, hidden]`.
+    fn hidden(&self, batch: &Batch, tape: &mut Tape) -> Tensor {
+        let (states, phases) = match &batch.inputs {
             Inputs::Paper(paper) => {
                 let own = batch.real_columns(&paper.states);
                 let groups = batch.groups.iter().zip(&own);
                 let states = groups.map(|(group, own)| self.state.first_columns(group.columns).forward(own));
-                (states.collect::<Vec<_>>(), Some(self.phase.forward(&paper.phase_states)))
+                (join(states.collect()), self.phase.forward(&paper.phase_states))
             }
             Inputs::Movement(movement) => {
-                let states = self.state.forward(&movement.context);
-                (states.split_with_sizes(batch.group_samples(), 0), None)
+                (self.state.forward(&movement.context), self.phase.forward(&movement.phases))
             }
         };
         // Topology is constant in time: one row per sequence, added at each of its steps.
         let topology = self.topology.forward(&batch.topology).unsqueeze(1);
-        let topology = topology.split_with_sizes(batch.group_sequences(), 0);
-        let bases = states.iter().zip(&topology).map(|(state, topology)| {
-            state.view([topology.size()[0], batch.steps, topology.size()[2]]) + topology
-        });
-        let phases: Vec<Tensor> = match (&batch.inputs, static_phases) {
-            (Inputs::Movement(movement), _) => {
-                let own = movement.phases.split_with_sizes(batch.group_rows(), 0);
-                own.iter().map(|rows| self.phase.forward(rows)).collect()
-            }
-            (Inputs::Paper(_), Some(phases)) => phases.split_with_sizes(batch.group_static_phases(), 0),
-            (Inputs::Paper(_), None) => Vec::new(),
+        let width = topology.size()[2];
+        let samples = (states.view([batch.sequences, batch.steps, width]) + topology).view([-1, width]);
+        if tape.loops() {
+            let phase = match &batch.inputs {
+                Inputs::Paper(paper) => whole_numbers(&paper.phase_of_row),
+                Inputs::Movement(_) => (0..batch.rows).collect(),
+            };
+            let sample = whole_numbers(batch.sample_of_row());
+            return gate::gated(Sums { phases, samples, phase, sample }, tape);
+        }
+        // Group by group, so that what phases or steps share is added without being copied.
+        let of_phases = match &batch.inputs {
+            Inputs::Paper(_) => batch.group_static_phases(),
+            Inputs::Movement(_) => batch.group_rows(),
         };
-        let groups = batch.groups.iter().zip(bases).zip(phases);
-        groups
-            .map(|((group, base), phase)| {
-                let width = phase.size()[1];
-                // [sequences, steps or 1, phases, width] + [sequences, steps, 1, width]
-                let phase = phase.view([base.size()[0], -1, group.phases, width]);
-                (phase + base.unsqueeze(2)).glu(-1).view([group.samples * group.phases, width / 2])
-            })
-            .collect()
+        let phases = phases.split_with_sizes(of_phases, 0);
+        let samples = samples.split_with_sizes(batch.group_samples(), 0);
+        let groups = batch.groups.iter().zip(samples).zip(phases).map(|((group, sample), phase)| {
+            // [sequences, steps or 1, phases, width] + [sequences, steps, 1, width]
+            let sequences = group.samples / batch.steps;
+            let phase = phase.view([sequences, -1, group.phases, width]);
+            let sample = sample.view([sequences, batch.steps, 1, width]);
+            (phase + sample).glu(-1).view([group.samples * group.phases, width / 2])
+        });
+        join(groups.collect())
     }
 
     /// The latent z of every row `[rows, latent]`.
     pub(super) fn latent(&self, output: &PccOutput) -> Tensor {
-        join(output.hidden.iter().map(|own| self.second.forward(own)).collect())
+        self.second.forward(&output.hidden)
     }
 
     /// What the router sees of the pattern: `z_hat = weights x centres`.
@@ -121,16 +124,13 @@ impl Pcc {
     }
 
     /// The latent z of one row of each sample `[samples, latent]`.
-    fn chosen_latent(&self, output: &PccOutput, batch: &Batch, chosen_rows: &Tensor) -> Tensor {
-        let chosen = chosen_rows.split_with_sizes(batch.group_samples(), 0);
-        let groups = batch.groups.iter().zip(&output.hidden).zip(chosen);
-        let hidden = groups.map(|((group, hidden), rows)| hidden.index_select(0, &(rows - group.first_row)));
-        self.second.forward(&join(hidden.collect()))
+    fn chosen_latent(&self, output: &PccOutput, chosen_rows: &Tensor) -> Tensor {
+        self.second.forward(&output.hidden.index_select(0, chosen_rows))
     }
 
     /// The prediction from one row of each sample `[samples, target]`.
-    pub(super) fn predict(&self, output: &PccOutput, batch: &Batch, chosen_rows: &Tensor) -> Tensor {
-        self.predict.forward(&self.chosen_latent(output, batch, chosen_rows))
+    pub(super) fn predict(&self, output: &PccOutput, chosen_rows: &Tensor) -> Tensor {
+        self.predict.forward(&self.chosen_latent(output, chosen_rows))
     }
 
     /// The same in the form `paper`, group by group, of the columns that some movement of the group has.
@@ -140,7 +140,7 @@ impl Pcc {
         batch: &Batch,
         chosen_rows: &Tensor,
     ) -> Vec<Tensor> {
-        let latent = self.chosen_latent(output, batch, chosen_rows);
+        let latent = self.chosen_latent(output, chosen_rows);
         let groups = batch.groups.iter().zip(latent.split_with_sizes(batch.group_samples(), 0));
         groups.map(|(group, own)| self.predict.first_rows(group.columns).forward(&own)).collect()
     }
