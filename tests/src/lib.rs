@@ -16,5 +16,7 @@ pub mod packages;
 pub mod processes;
 pub mod prometheus;
 pub mod runs;
+pub mod s3;
 pub mod scenarios;
+pub mod tools;
 pub mod wait;
