@@ -84,12 +84,12 @@ async fn run(options: &Options) -> Result<(), Failure> {
     let scenarios = load_scenarios(&config, options.scenarios.as_deref()).map_err(input)?;
     let run = RunDir::open(&options.run).map_err(input)?;
     let found = find(options, &run, &config).await?;
-    let (resumed, mirror) = (found.resumed, found.mirror);
+    let (resumed, mirror, owner) = (found.resumed, found.mirror, found.owner);
     if options.resume && resumed.is_none() {
         tracing::warn!(run = %run.path().display(), "there is no checkpoint to resume; starting at the beginning");
     }
     let known = resumed.as_ref().map(|resumed| resumed.checkpoint.metadata.run_id.as_str());
-    let run_id = run.identity(known).map_err(input)?;
+    let run_id = run.identity(known.or(owner.as_deref())).map_err(input)?;
 
     let mut signals = Signals::new()?;
     let grpc = bind("--listen", options.listen).await?;
@@ -162,6 +162,8 @@ async fn run(options: &Options) -> Result<(), Failure> {
 struct Found {
     resumed: Option<checkpoint::Resumed>,
     mirror: Option<MirrorSetup>,
+    /// The run that the place of the copies belongs to.
+    owner: Option<String>,
 }
 
 async fn find(options: &Options, run: &RunDir, config: &Config) -> Result<Found, Failure> {
@@ -178,7 +180,7 @@ async fn find(options: &Options, run: &RunDir, config: &Config) -> Result<Found,
     }
     let Some(remote) = remote else {
         let resumed = if options.resume { find_checkpoint(run.path(), config).map_err(input)? } else { None };
-        return Ok(Found { resumed, mirror: None });
+        return Ok(Found { resumed, mirror: None, owner: None });
     };
     let mut fetched = Fetched::default();
     if options.resume {
@@ -190,7 +192,7 @@ async fn find(options: &Options, run: &RunDir, config: &Config) -> Result<Found,
         remote.refuse_used().await.map_err(failed)?;
     }
     let mirror = Some(MirrorSetup::new(remote, &fetched));
-    Ok(Found { resumed: fetched.resumed, mirror })
+    Ok(Found { resumed: fetched.resumed, mirror, owner: fetched.owner })
 }
 
 /// A new run must not mix its checkpoints with those of an earlier one.

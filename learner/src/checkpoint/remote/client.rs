@@ -2,13 +2,14 @@
 
 use super::trouble::StoreTrouble;
 use crate::checkpoint::CheckpointError;
-use futures::TryStreamExt;
+use futures::{FutureExt, TryStreamExt};
 use object_store::aws::AmazonS3Builder;
 use object_store::azure::MicrosoftAzureBuilder;
 use object_store::gcp::GoogleCloudStorageBuilder;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{BackoffConfig, ClientOptions, ObjectStore, ObjectStoreExt, RetryConfig};
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -74,6 +75,7 @@ impl Client {
         let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
         let prefix =
             Path::parse(prefix).map_err(|error| unusable(format!("its path cannot be used ({error})")))?;
+        super::environment::check(scheme).map_err(unusable)?;
         // The client takes the process's TLS library as it finds it. One that is set already serves as well.
         let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
         let retry = RetryConfig {
@@ -105,10 +107,7 @@ impl Client {
             "gs" => "GOOGLE_APPLICATION_CREDENTIALS",
             _ => "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY",
         };
-        // The client's own words may repeat the value of a variable, which may be a secret.
-        let store = built.map_err(|_| {
-            unusable(format!("a variable of the environment that belongs to it makes no sense or is missing ({credentials}, and others of their kind)"))
-        })?;
+        let store = built.map_err(|error| unusable(unbuilt(&error, credentials)))?;
         Ok(Self { store, prefix, url: url.to_owned(), credentials })
     }
 
@@ -175,9 +174,13 @@ impl Client {
         &self,
         operation: impl Future<Output = object_store::Result<T>>,
     ) -> Result<T, Problem> {
-        match tokio::time::timeout(OPERATION, operation).await {
-            Ok(Ok(value)) => Ok(value),
-            Ok(Err(error)) => Err(Problem::Store(error)),
+        // A panic of the client is a defect of it, or a value that environment.rs does not know; it must cost this operation
+        // and not the copies of a whole run.
+        let guarded = AssertUnwindSafe(operation).catch_unwind();
+        match tokio::time::timeout(OPERATION, guarded).await {
+            Ok(Ok(Ok(value))) => Ok(value),
+            Ok(Ok(Err(error))) => Err(Problem::Store(error)),
+            Ok(Err(_)) => Err(Problem::Panic),
             Err(_) => Err(Problem::Slow),
         }
     }
@@ -185,14 +188,30 @@ impl Client {
     fn failed(&self, action: &'static str, name: &str, problem: &Problem) -> CheckpointError {
         let trouble = match problem {
             Problem::Store(error) => StoreTrouble::of(error, self.credentials),
+            Problem::Panic => {
+                StoreTrouble::Other("nothing, because its client failed; its words are in the log".to_owned())
+            }
             Problem::Slow => StoreTrouble::Unreachable(format!("no answer within {} s", OPERATION.as_secs())),
         };
         failed(action, &self.url_of(name), trouble)
     }
 }
 
+/// Why no client could be made. Its own words may repeat the value of a variable, which may be a secret.
+fn unbuilt(error: &object_store::Error, credentials: &str) -> String {
+    if super::trouble::chain(error).iter().any(|words| words.contains("CA certificates")) {
+        return "there are no certificates of authorities on this machine; install the package ca-certificates, or name \
+                a file of them with SSL_CERT_FILE"
+            .to_owned();
+    }
+    format!(
+        "a variable of the environment for it is missing or makes no sense ({credentials}, and others of their kind)"
+    )
+}
+
 enum Problem {
     Store(object_store::Error),
+    Panic,
     Slow,
 }
 

@@ -10,6 +10,8 @@ use std::path::{Path, PathBuf};
 pub struct Fetched {
     /// The newest checkpoint that can be used, now on this disk; `None` if there is none anywhere.
     pub resumed: Option<Resumed>,
+    /// The run that the store's place belongs to, so that one that lost its disk before its first copy is still itself.
+    pub owner: Option<String>,
     /// Checkpoints of the store that are damaged, for the learner to set aside there.
     pub damaged: Vec<String>,
     /// Why the store was not looked at; there is a checkpoint on this disk then.
@@ -37,8 +39,8 @@ pub async fn resume(
         Err(error @ CheckpointError::NoneUsable { .. }) => (None, Some(error)),
         Err(error) => return Err(error),
     };
-    let ids = match remote.ids_of(run_id).await {
-        Ok(ids) => ids,
+    let (owner, ids) = match remote.of_run(run_id).await {
+        Ok(found) => found,
         Err(error) if error.is_passing() && local.is_some() => {
             return Ok(Fetched { resumed: local, unreachable: Some(error), ..Fetched::default() });
         }
@@ -67,7 +69,7 @@ pub async fn resume(
                     reader::read(&Store::open(&run, usize::MAX)?.install(&parcel)?)
                 });
                 let resumed = Some(Resumed { checkpoint: checkpoint.await?, skipped: problems });
-                return Ok(Fetched { resumed, damaged, unreachable: None });
+                return Ok(Fetched { resumed, owner, damaged, unreachable: None });
             }
             Err(error) if error.is_corrupt() => {
                 damaged.push(id);
@@ -82,7 +84,7 @@ pub async fn resume(
     if let Some(mut resumed) = local {
         problems.append(&mut resumed.skipped);
         resumed.skipped = problems;
-        return Ok(Fetched { resumed: Some(resumed), damaged, unreachable: None });
+        return Ok(Fetched { resumed: Some(resumed), owner, damaged, unreachable: None });
     }
     match (none_usable, problems.into_iter().next()) {
         (Some(error), _) => Err(error),
@@ -90,7 +92,7 @@ pub async fn resume(
             let folder = PathBuf::from(remote.url());
             Err(CheckpointError::NoneUsable { count, folder, newest: Box::new(newest) })
         }
-        (None, None) => Ok(Fetched::default()),
+        (None, None) => Ok(Fetched { owner, ..Fetched::default() }),
     }
 }
 

@@ -12,6 +12,7 @@
 //! that loses an object is noticed.
 
 mod client;
+mod environment;
 mod fetch;
 #[cfg(test)]
 mod tests;
@@ -88,15 +89,16 @@ impl Remote {
         Ok(whole.map(|((_, id), _)| id).collect())
     }
 
-    /// Ids of a run's checkpoints, newest first; refuses those of another run than `run_id`.
-    async fn ids_of(&self, run_id: Option<&str>) -> Result<Vec<String>, CheckpointError> {
-        if let (Some(got), Some(expected)) = (self.owner().await?, run_id)
+    /// The run that the place belongs to, and ids of its checkpoints, newest first; refuses those of another run than `run_id`.
+    async fn of_run(&self, run_id: Option<&str>) -> Result<(Option<String>, Vec<String>), CheckpointError> {
+        let owner = self.owner().await?;
+        if let (Some(got), Some(expected)) = (&owner, run_id)
             && got != expected
         {
-            let url = self.url().to_owned();
+            let (url, got) = (self.url().to_owned(), got.clone());
             return Err(CheckpointError::OtherRun { url, got, expected: expected.to_owned() });
         }
-        self.ids().await
+        Ok((owner, self.ids().await?))
     }
 
     /// Everything that looks like a checkpoint, oldest first: by updates and id, its files' names.

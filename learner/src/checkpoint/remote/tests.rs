@@ -211,6 +211,8 @@ async fn a_place_belongs_to_one_run_and_one_configuration() {
     place.remote.claim("first").await.unwrap();
     let other = place.remote.claim("second").await.unwrap_err().to_string();
     assert!(other.contains("first") && other.contains("second") && other.contains("file:///"), "{other}");
+    let found = resumed(tempfile::tempdir().unwrap().path(), &place).await.unwrap();
+    assert_eq!(found.owner.as_deref(), Some("first"), "a run without a disk learns who it is");
     let used = place.remote.refuse_used().await.unwrap_err().to_string();
     assert!(used.contains("--resume"), "{used}");
     let error = resume(run.path(), Some("second"), &place.remote, COMPATIBLE).await.unwrap_err();

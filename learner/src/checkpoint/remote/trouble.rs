@@ -82,7 +82,7 @@ impl StoreTrouble {
 }
 
 /// An error's words and those of its causes, outermost first.
-fn chain(error: &dyn std::error::Error) -> Vec<String> {
+pub(super) fn chain(error: &dyn std::error::Error) -> Vec<String> {
     let mut words = vec![error.to_string()];
     let mut next = error.source();
     while let Some(cause) = next {
