@@ -16,6 +16,8 @@ pub struct S3 {
 
 /// The bucket that every server starts with.
 pub const BUCKET: &str = "cross";
+/// Objects are private: the server wants to see a signature, and does not look at it.
+const ANYBODY: &str = "Authorization: AWS AKIAEXAMPLE:x\r\n";
 /// A secret that must not appear anywhere.
 pub const SECRET: &str = "a-secret-that-nobody-may-see";
 
@@ -57,7 +59,7 @@ impl S3 {
             let ended = server.child.try_wait().unwrap();
             let log = || std::fs::read_to_string(server._log.path().join("log")).unwrap_or_default();
             assert!(ended.is_none(), "the S3 server ended: {}", log());
-            let (status, _) = http::request("PUT", &server.address, &format!("/{BUCKET}"))?;
+            let (status, _) = http::request("PUT", &server.address, &format!("/{BUCKET}"), "")?;
             assert_eq!(status, 200, "{}", log());
             Some(())
         });
@@ -79,13 +81,20 @@ impl S3 {
     /// An object of the bucket.
     #[must_use]
     pub fn get(&self, name: &str) -> Option<Vec<u8>> {
-        let (status, body) = http::request("GET", &self.address, &format!("/{BUCKET}/{name}"))?;
+        self.get_of(BUCKET, name)
+    }
+
+    /// An object of any bucket.
+    #[must_use]
+    pub fn get_of(&self, bucket: &str, name: &str) -> Option<Vec<u8>> {
+        let (status, body) = http::request("GET", &self.address, &format!("/{bucket}/{name}"), ANYBODY)?;
         (status == 200).then_some(body)
     }
 
     /// Removes an object of the bucket.
     pub fn remove(&self, name: &str) {
-        let (status, _) = http::request("DELETE", &self.address, &format!("/{BUCKET}/{name}")).unwrap();
+        let (status, _) =
+            http::request("DELETE", &self.address, &format!("/{BUCKET}/{name}"), ANYBODY).unwrap();
         assert_eq!(status, 204);
     }
 }

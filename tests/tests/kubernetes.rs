@@ -54,8 +54,8 @@ fn find<'a>(manifests: &'a [Value], kind: &str, name: &str) -> &'a Value {
 /// Pod templates with the name of what owns them.
 fn pods(manifests: &[Value]) -> Vec<(&str, &Value)> {
     let owner = |m: &&Value| m["kind"] == "StatefulSet" || m["kind"] == "Deployment";
-    let pod = |m| (Value::as_str(&m["metadata"]["name"]).unwrap(), &m["spec"]["template"]);
-    manifests.iter().filter(owner).map(|m: &Value| pod(m)).collect()
+    let owners = manifests.iter().filter(owner);
+    owners.map(|m| (m["metadata"]["name"].as_str().unwrap(), &m["spec"]["template"])).collect()
 }
 
 fn texts(list: &Value) -> Vec<String> {
@@ -309,7 +309,7 @@ fn starts_and_trains(tools: &Tools, overlay: &str, manifests: &[Value], run: &Ru
         let store = S3::start(tools);
         let url = learner.variables["CROSS_CHECKPOINTS"].clone();
         let bucket = url.strip_prefix("s3://").unwrap().split('/').next().unwrap();
-        http::request("PUT", store.address(), &format!("/{bucket}")).unwrap();
+        http::request("PUT", store.address(), &format!("/{bucket}"), "").unwrap();
         // What the secret cross-s3 holds.
         learner
             .variables
@@ -334,7 +334,7 @@ fn starts_and_trains(tools: &Tools, overlay: &str, manifests: &[Value], run: &Ru
         http::get(rest.split_once('/')?.0, "/ready")
     });
     if let Some(store) = &store {
-        let claimed = || http::get(store.address(), "/cross-checkpoints/cluster/run.json");
+        let claimed = || store.get_of("cross-checkpoints", "cluster/run.json");
         wait::until("the learner's claim in the store", claimed);
     }
     // As Kubernetes ends a pod.
@@ -343,7 +343,7 @@ fn starts_and_trains(tools: &Tools, overlay: &str, manifests: &[Value], run: &Ru
         assert!(child.wait().unwrap().success(), "{}", learner.log("cross-learner"));
     }
     if let Some(store) = &store {
-        let latest = http::get(store.address(), "/cross-checkpoints/cluster/checkpoints/latest");
+        let latest = store.get_of("cross-checkpoints", "cluster/checkpoints/latest");
         assert!(
             latest.is_some(),
             "the last checkpoint is not in the store: {}",
