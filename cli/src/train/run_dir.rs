@@ -63,7 +63,8 @@ impl RunDir {
                 Failure::input(format!("there is no run under {RUNS}/ in this folder to resume; go where you trained, or name one with --run DIR"))
             })?,
         };
-        if !holds_run(&path) && !(elsewhere && given.is_some()) {
+        let may_be_empty = elsewhere && given.is_some();
+        if !may_be_empty && !holds_run(&path) {
             return Err(Failure::input(format!(
                 "{} holds no run to resume; leave out --resume to start one there",
                 path.display()
