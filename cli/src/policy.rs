@@ -2,6 +2,7 @@
 
 use crate::failure::{Failure, OrBadInput, Outcome};
 use crate::learned::Learned;
+use crate::saved::policy_by_url;
 use anyhow::Context;
 use cross_config::EnvConfig;
 use cross_learner::checkpoint::reader;
@@ -31,20 +32,27 @@ pub(crate) struct Weights {
 impl Weights {
     /// Reads and checks what a path stands for: a run directory (its newest checkpoint), a checkpoint, or a policy file.
     pub(crate) fn read(name: &str, path: &Path) -> Outcome<Self> {
-        let (_, bytes) = reader::load_policy(path).or_bad_input()?;
+        Self::of(name, reader::load_policy(path).or_bad_input()?.1)
+    }
+
+    fn of(name: &str, bytes: Vec<u8>) -> Outcome<Self> {
         let policy = Policy::from_snapshot(&bytes)
             .map_err(anyhow::Error::from)
-            .with_context(|| format!("cannot use the policy {}", path.display()))
+            .with_context(|| format!("cannot use the policy {name}"))
             .or_bad_input()?;
         Ok(Self { name: name.to_owned(), env: policy.env().clone(), bytes: bytes.into() })
     }
 }
 
 impl PolicySpec {
-    /// A rule by name, or else weights: a checkpoint's directory, a run directory (its newest checkpoint), or a file.
+    /// A rule by name, or else weights: a checkpoint's directory, a run directory (its newest checkpoint), a file, or the URL
+    /// of any of them in an object store.
     pub(crate) fn parse(text: &str) -> Outcome<Self> {
         if let Ok(rule) = text.parse::<RuleBased>() {
             return Ok(Self::Rule(rule));
+        }
+        if let Some(bytes) = policy_by_url(text)? {
+            return Weights::of(text.trim_end_matches('/'), bytes).map(Self::Learned);
         }
         let path = Path::new(text);
         if !path.exists() {

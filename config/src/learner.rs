@@ -59,6 +59,9 @@ pub struct LearnerConfig {
     pub checkpoint_updates: u64,
     /// Newest checkpoints that are kept.
     pub keep_checkpoints: usize,
+    /// Where checkpoints are copied besides the run directory: `s3://BUCKET/PATH`, `gs://`, `az://` or `file:///FOLDER`; empty
+    /// for nowhere. Credentials come from the environment.
+    pub checkpoint_url: String,
     /// Most actors at a time.
     pub max_actors: usize,
     /// Most connections of any client at a time; more are closed at once.
@@ -85,6 +88,7 @@ impl Default for LearnerConfig {
             buffered_rounds: 1,
             checkpoint_updates: 10,
             keep_checkpoints: 5,
+            checkpoint_url: String::new(),
             max_actors: 1024,
             max_connections: 4096,
             max_streams: 8192,
@@ -102,6 +106,10 @@ impl LearnerConfig {
         in_range("learner.buffered_rounds", self.buffered_rounds, 1, 1000)?;
         in_range("learner.checkpoint_updates", self.checkpoint_updates, 1, 1_000_000)?;
         in_range("learner.keep_checkpoints", self.keep_checkpoints, 1, 1_000_000)?;
+        if !self.checkpoint_url.is_empty() {
+            checkpoint_url(&self.checkpoint_url)
+                .map_err(|problem| ConfigError::invalid("learner.checkpoint_url", problem))?;
+        }
         in_range("learner.max_actors", self.max_actors, 1, 1_000_000)?;
         in_range("learner.max_connections", self.max_connections, 1, 1_000_000)?;
         in_range("learner.max_streams", self.max_streams, 1, 1_000_000)?;
@@ -109,6 +117,30 @@ impl LearnerConfig {
         in_range("learner.max_message_bytes", self.max_message_bytes, 64 * 1024, 1 << 30)?;
         in_range("learner.lease_seconds", self.lease_seconds, 1, 3600)?;
         in_range("learner.drain_seconds", self.drain_seconds, 1, 3600)
+    }
+}
+
+/// Whether a text has the form of a URL for checkpoints. What it names is not looked at.
+///
+/// # Errors
+/// What is wrong, as the end of a sentence. Nothing of the URL is repeated: it may hold what it must not, a password.
+pub fn checkpoint_url(url: &str) -> Result<(), String> {
+    const FORM: &str = "must be s3://BUCKET/PATH, gs://BUCKET/PATH, az://CONTAINER/PATH or file:///FOLDER";
+    let Some((scheme, place)) = url.split_once("://") else { return Err(FORM.to_owned()) };
+    if url.chars().any(|c| c.is_whitespace() || c.is_control() || matches!(c, '?' | '#')) {
+        return Err(format!("{FORM}, without spaces, `?` and `#`"));
+    }
+    let (bucket, path) = place.split_once('/').unwrap_or((place, ""));
+    if bucket.contains('@') || bucket.contains(':') {
+        return Err("holds a user or a password; credentials go into the environment".to_owned());
+    }
+    if path.split('/').any(|part| matches!(part, "." | "..")) {
+        return Err(format!("{FORM}, without `.` and `..`"));
+    }
+    match scheme {
+        "s3" | "gs" | "az" if !bucket.is_empty() => Ok(()),
+        "file" if bucket.is_empty() && !path.trim_matches('/').is_empty() => Ok(()),
+        _ => Err(FORM.to_owned()),
     }
 }
 
@@ -153,6 +185,22 @@ impl ActorConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_url_for_checkpoints_has_a_form_and_no_password() {
+        for good in ["s3://b", "s3://b/runs/a", "gs://b/x", "az://c/x", "file:///var/cross"] {
+            assert_eq!(checkpoint_url(good), Ok(()), "{good}");
+        }
+        for bad in
+            ["", "b/x", "/b", "s3:///x", "file://b/x", "file:///", "http://b/x", "s3://b/../x", "s3://b/x y"]
+        {
+            assert!(checkpoint_url(bad).unwrap_err().contains("s3://BUCKET"), "{bad}");
+        }
+        for secret in ["s3://KEY:hidden@b/x", "s3://hidden@b"] {
+            let error = checkpoint_url(secret).unwrap_err();
+            assert!(error.contains("environment") && !error.contains("hidden"), "{error}");
+        }
+    }
 
     #[test]
     fn a_device_is_spelled_alike_on_the_command_line_and_in_the_file() {

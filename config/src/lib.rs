@@ -12,7 +12,7 @@ mod ppo;
 
 pub use env::{Detection, EnvConfig};
 pub use error::ConfigError;
-pub use learner::{ActorConfig, ComputeDevice, LearnerConfig, Precision};
+pub use learner::{ActorConfig, ComputeDevice, LearnerConfig, Precision, checkpoint_url};
 pub use model::{Gfe, ModelConfig};
 pub use ppo::{EntropySchedule, PpoConfig, RewardScale};
 

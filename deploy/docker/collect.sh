@@ -73,6 +73,15 @@ done
 cp -r "$root/.deps/generated" "$deps/"
 if [ -d "$root/.deps/scenarios" ]; then cp -r "$root/.deps/scenarios" "$deps/"; fi
 
+# The authorities that this machine trusts: an object store is asked over TLS, and the base image may know none.
+authorities=/etc/ssl/certs/ca-certificates.crt
+if [ -e "$authorities" ]; then
+    mkdir -p "$destination/learner/etc/ssl/certs"
+    cp -L "$authorities" "$destination/learner/etc/ssl/certs/"
+else
+    echo "warning: this machine has no $authorities; the learner's image will use an object store over TLS only with a bundle that SSL_CERT_FILE names" >&2
+fi
+
 echo "collecting the actor: its program, SUMO"
 program actor cross-actor
 sumo="$destination/actor/opt/cross/.deps/sumo"

@@ -2,9 +2,12 @@
 
 use crate::admin::Admin;
 use crate::admission::{Admission, ScenarioSettings, Settings};
+use crate::checkpoint::remote::{self, Fetched, Remote};
 use crate::checkpoint::{CheckpointError, Resumed, Store, reader};
 use crate::coordinator::{Channels, Coordinator, Ending, Handle, Life, REQUEST_QUEUE};
 use crate::metrics_log::MetricsLog;
+use crate::mirror::{Mirror, MirrorSetup};
+use crate::run_dir::RunDir;
 use crate::service::{self, Shared};
 use crate::telemetry::Telemetry;
 use crate::trainer::{self, TrainerSetup};
@@ -43,6 +46,8 @@ pub struct Setup {
     pub run_id: String,
     /// Checkpoint to go on from.
     pub resumed: Option<Resumed>,
+    /// Where checkpoints are copied besides the run directory.
+    pub mirror: Option<MirrorSetup>,
     /// How its ports are protected.
     pub security: ServerSecurity,
 }
@@ -94,6 +99,7 @@ pub struct Learner {
     coordinator: tokio::task::JoinHandle<Ending>,
     servers: tokio::task::JoinHandle<anyhow::Result<()>>,
     trainer: std::thread::JoinHandle<()>,
+    mirror: Option<Mirror>,
 }
 
 /// Loads the scenarios that a configuration names; no SUMO is needed.
@@ -120,6 +126,18 @@ pub fn find_checkpoint(run: &Path, config: &Config) -> Result<Option<Resumed>, C
     reader::resume(run, &config.compatibility_hash())
 }
 
+/// The same, where checkpoints are copied to an object store too.
+///
+/// # Errors
+/// [`CheckpointError`] as there, or if the store cannot be read and nothing else is there to go on from.
+pub async fn fetch_checkpoint(
+    run: &RunDir,
+    remote: &Remote,
+    config: &Config,
+) -> Result<Fetched, CheckpointError> {
+    remote::resume(run.path(), run.known_identity().as_deref(), remote, &config.compatibility_hash()).await
+}
+
 /// The connections that the operating system leaves room for, of those wanted.
 fn places(wanted: usize) -> usize {
     let limit = open_files::most();
@@ -140,7 +158,7 @@ impl Learner {
     /// # Errors
     /// If the run directory cannot be written or the thread not started.
     pub fn start(setup: Setup, grpc: TcpListener, metrics: TcpListener) -> Result<Self, StartError> {
-        let Setup { config, scenarios, run, run_id, resumed, security } = setup;
+        let Setup { config, scenarios, run, run_id, resumed, mirror, security } = setup;
         let mut names: Vec<&str> = scenarios.iter().map(|(name, _)| name.as_str()).collect();
         names.sort_unstable();
         if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
@@ -177,12 +195,19 @@ impl Learner {
         let (report_sender, reports) = mpsc::channel(4);
         let (drain, closing) = (CancellationToken::new(), CancellationToken::new());
 
+        let (mirror, copies) = mirror
+            .map(|setup| {
+                let (run, id, telemetry) = (run.clone(), run_id.clone(), telemetry.clone());
+                Mirror::start(setup, run, id, latest.clone(), &config.learner, telemetry)
+            })
+            .unzip();
         let trainer_setup = TrainerSetup {
             config: config.clone(),
             run_id: run_id.clone(),
             layouts: scenarios,
             resumed,
             store,
+            mirror: copies,
             log,
             telemetry: telemetry.clone(),
         };
@@ -216,7 +241,7 @@ impl Learner {
             let (services, ()) = tokio::join!(service::serve(shared, grpc, security), admin);
             services.context("the gRPC server failed")
         });
-        Ok(Self { session_epoch, life, drain, closing, telemetry, coordinator, servers, trainer })
+        Ok(Self { session_epoch, life, drain, closing, telemetry, coordinator, servers, trainer, mirror })
     }
 
     /// Session of this learner.
@@ -243,10 +268,12 @@ impl Learner {
         self.drain.clone()
     }
 
-    /// Waits for the end of training and of the servers.
+    /// Waits for the end of training, of the servers, and of the last copy to an object store.
     pub async fn finished(mut self) -> Ending {
         let ending = tokio::select! {
-            ending = &mut self.coordinator => ending,
+            ending = &mut self.coordinator => {
+                ending.unwrap_or_else(|error| Ending::Failed(format!("the coordinator failed: {error}")))
+            }
             served = &mut self.servers => {
                 // Without its servers the learner is deaf; the state of training is still worth a checkpoint.
                 let problem = match served {
@@ -255,10 +282,11 @@ impl Learner {
                     Err(error) => format!("the servers failed: {error}"),
                 };
                 self.drain.cancel();
-                return match self.coordinator.await {
+                let ending = match self.coordinator.await {
                     Ok(Ending::Complete) => Ending::Complete,
                     _ => Ending::Failed(problem),
                 };
+                return last_copy(self.mirror, ending).await;
             }
         };
         self.closing.cancel();
@@ -272,7 +300,17 @@ impl Learner {
         if tokio::time::timeout(LAST_WORDS, trainer).await.is_err() {
             tracing::warn!("the trainer thread is still busy");
         }
-        ending.unwrap_or_else(|error| Ending::Failed(format!("the coordinator failed: {error}")))
+        last_copy(self.mirror, ending).await
+    }
+}
+
+/// Waits for the last copy. A run that promised copies and did not make the last one has not ended well, even if all else
+/// did: whoever started it may throw the run directory away.
+async fn last_copy(mirror: Option<Mirror>, ending: Ending) -> Ending {
+    let Some(mirror) = mirror else { return ending };
+    match (mirror.finish().await, ending) {
+        (Err(problem), Ending::Complete | Ending::Drained) => Ending::Failed(problem),
+        (_, ending) => ending,
     }
 }
 

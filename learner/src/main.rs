@@ -5,8 +5,12 @@ mod options;
 use anyhow::Context;
 use clap::Parser;
 use cross_config::Config;
+use cross_learner::checkpoint::CheckpointError;
+use cross_learner::checkpoint::remote::{Fetched, Remote};
 use cross_learner::run_dir::{Listening, RunDir};
-use cross_learner::{Ending, Learner, Setup, checkpoint, find_checkpoint, load_scenarios};
+use cross_learner::{
+    Ending, Learner, MirrorSetup, Setup, checkpoint, fetch_checkpoint, find_checkpoint, load_scenarios,
+};
 use cross_model::Placement;
 use cross_support::server::ServerSecurity;
 use cross_support::token::Tokens;
@@ -71,21 +75,21 @@ async fn run(options: &Options) -> Result<(), Failure> {
     }
     let mut config = Config::from_file(&options.config).map_err(input)?;
     config.learner.device = options.device.unwrap_or(config.learner.device);
+    if let Some(url) = &options.checkpoints {
+        config.learner.checkpoint_url.clone_from(url);
+        config.validate().map_err(input)?;
+    }
     // Before anything is touched; the trainer comes to the same.
     let placement = Placement::resolve(&config.learner).map_err(input)?;
     let scenarios = load_scenarios(&config, options.scenarios.as_deref()).map_err(input)?;
     let run = RunDir::open(&options.run).map_err(input)?;
-    let resumed = if options.resume {
-        find_checkpoint(run.path(), &config).map_err(input)?
-    } else {
-        refuse_old_checkpoints(&run)?;
-        None
-    };
+    let found = find(options, &run, &config).await?;
+    let (resumed, mirror, owner) = (found.resumed, found.mirror, found.owner);
     if options.resume && resumed.is_none() {
         tracing::warn!(run = %run.path().display(), "there is no checkpoint to resume; starting at the beginning");
     }
     let known = resumed.as_ref().map(|resumed| resumed.checkpoint.metadata.run_id.as_str());
-    let run_id = run.identity(known).map_err(input)?;
+    let run_id = run.identity(known.or(owner.as_deref())).map_err(input)?;
 
     let mut signals = Signals::new()?;
     let grpc = bind("--listen", options.listen).await?;
@@ -105,8 +109,15 @@ async fn run(options: &Options) -> Result<(), Failure> {
         protection = security.describe(),
         "starting"
     );
-    let setup =
-        Setup { config, scenarios, run: run.path().to_owned(), run_id: run_id.clone(), resumed, security };
+    let setup = Setup {
+        config,
+        scenarios,
+        run: run.path().to_owned(),
+        run_id: run_id.clone(),
+        resumed,
+        mirror,
+        security,
+    };
     let learner = Learner::start(setup, grpc, metrics)
         .map_err(|error| if error.is_input() { input(error) } else { Failure::Other(error.into()) })?;
     let (session_epoch, drain) = (learner.session_epoch(), learner.drain());
@@ -145,6 +156,43 @@ async fn run(options: &Options) -> Result<(), Failure> {
         Ending::Unusable(problem) => return Err(input(anyhow::anyhow!(problem))),
     }
     Ok(())
+}
+
+/// What a run goes on from, and where its checkpoints are copied.
+struct Found {
+    resumed: Option<checkpoint::Resumed>,
+    mirror: Option<MirrorSetup>,
+    /// The run that the place of the copies belongs to.
+    owner: Option<String>,
+}
+
+async fn find(options: &Options, run: &RunDir, config: &Config) -> Result<Found, Failure> {
+    // A store that does not answer may do so later; everything else is for a person to mend.
+    let failed = |error: CheckpointError| {
+        if error.is_passing() { Failure::Other(error.into()) } else { input(error) }
+    };
+    let remote = match config.learner.checkpoint_url.as_str() {
+        "" => None,
+        url => Some(Remote::open(url).map_err(failed)?),
+    };
+    if !options.resume {
+        refuse_old_checkpoints(run)?;
+    }
+    let Some(remote) = remote else {
+        let resumed = if options.resume { find_checkpoint(run.path(), config).map_err(input)? } else { None };
+        return Ok(Found { resumed, mirror: None, owner: None });
+    };
+    let mut fetched = Fetched::default();
+    if options.resume {
+        fetched = fetch_checkpoint(run, &remote, config).await.map_err(failed)?;
+        if let Some(error) = &fetched.unreachable {
+            tracing::error!("{error}; going on from the run directory's own checkpoint");
+        }
+    } else {
+        remote.refuse_used().await.map_err(failed)?;
+    }
+    let mirror = Some(MirrorSetup::new(remote, &fetched));
+    Ok(Found { resumed: fetched.resumed, mirror, owner: fetched.owner })
 }
 
 /// A new run must not mix its checkpoints with those of an earlier one.

@@ -31,9 +31,14 @@ pub(crate) struct Options {
     #[arg(long, value_name = "DIR")]
     pub(crate) run: PathBuf,
 
-    /// Go on from the newest checkpoint in the run directory; without one, start at the beginning
+    /// Go on from the newest checkpoint in the run directory or under --checkpoints; without one, start at the beginning
     #[arg(long)]
     pub(crate) resume: bool,
+
+    /// Where checkpoints are copied besides the run directory, whatever learner.checkpoint_url says: s3://BUCKET/PATH,
+    /// gs://BUCKET/PATH, az://CONTAINER/PATH or file:///FOLDER; empty for nowhere. Credentials come from the environment
+    #[arg(long, value_name = "URL", env = "CROSS_CHECKPOINTS")]
+    pub(crate) checkpoints: Option<String>,
 
     /// Where updates are computed, whatever learner.device says: auto (CUDA if there is a device), cpu or cuda
     #[arg(long, value_name = "DEVICE")]
@@ -75,6 +80,9 @@ Life of the process:
   It ends by itself when config.updates are done. SIGTERM or Ctrl-C lets the update in progress finish,
   writes a checkpoint, sends the actors away and ends within learner.drain_seconds; a second signal ends it at once.
 
+  With --checkpoints every checkpoint is copied there as well. A store that is down stops nothing; what it lacks is
+  copied later, and the end of the process waits up to 30 s for the last copy, without which it ends with 1.
+
 Exit codes:
   0 training is complete, or was stopped and can be resumed
   2 an option, the configuration, a scenario, the run directory or a checkpoint cannot be used
@@ -83,6 +91,7 @@ Exit codes:
 Examples:
   cross-learner --config configs/paper.toml --run runs/first
   cross-learner --config runs/first/config.toml --run runs/first --resume
+  cross-learner --config c.toml --run r --checkpoints s3://bucket/first
   cross-learner --config c.toml --run r --listen 0.0.0.0:7400 --metrics-listen 0.0.0.0:7401 \
       --tls-cert learner.pem --tls-key learner.key --token-file token
   cross-actor --learner http://127.0.0.1:7400 --actor-id a0";

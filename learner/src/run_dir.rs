@@ -91,6 +91,13 @@ impl RunDir {
         &self.path
     }
 
+    /// What `run.json` says, if it is there and says anything.
+    #[must_use]
+    pub fn known_identity(&self) -> Option<String> {
+        let text = std::fs::read_to_string(self.path.join(RUN_FILE)).ok()?;
+        Some(serde_json::from_str::<Identity>(&text).ok()?.run_id)
+    }
+
     /// The run's identity: what `run.json` says, else `known` (from a checkpoint), else a new one, which is then written.
     ///
     /// # Errors

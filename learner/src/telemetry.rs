@@ -3,6 +3,7 @@
 //! The recorder belongs to the learner, not to the process, so that several can live in one test.
 
 use crate::admission::{Admission, Dropped, Outcome};
+use crate::checkpoint::remote::StoreTrouble;
 use cross_model::{Placement, ScenarioStats, UpdateStats};
 use metrics::{
     Counter, Gauge, Histogram, counter, describe_counter, describe_gauge, describe_histogram, gauge,
@@ -24,12 +25,14 @@ pub struct Telemetry {
     update_failures: Counter,
     checkpoint_failures: Counter,
     checkpoint_fallbacks: Counter,
+    upload_failures: [(&'static str, Counter); StoreTrouble::LABELS.len()],
     log_failures: Counter,
     policy_version: Gauge,
     lag: [Gauge; 3],
     actors: Gauge,
     update_seconds: Histogram,
     checkpoint_seconds: Histogram,
+    upload_seconds: Histogram,
     /// Per scenario: offered by outcome, dropped by reason, buffered.
     scenarios: Arc<[ScenarioMetrics]>,
 }
@@ -53,7 +56,11 @@ impl Telemetry {
     #[must_use]
     pub fn new(scenarios: &[(String, usize)]) -> Self {
         let mut builder = PrometheusBuilder::new();
-        for name in ["cross_learner_update_seconds", "cross_learner_checkpoint_seconds"] {
+        for name in [
+            "cross_learner_update_seconds",
+            "cross_learner_checkpoint_seconds",
+            "cross_learner_checkpoint_upload_seconds",
+        ] {
             // Fails only for an empty list of buckets.
             builder = match builder.set_buckets_for_metric(Matcher::Full(name.to_owned()), &SECONDS) {
                 Ok(builder) => builder,
@@ -78,12 +85,16 @@ impl Telemetry {
                 update_failures: counter!("cross_learner_update_failures_total"),
                 checkpoint_failures: counter!("cross_learner_checkpoint_failures_total"),
                 checkpoint_fallbacks: counter!("cross_learner_checkpoint_fallbacks_total"),
+                upload_failures: StoreTrouble::LABELS.map(|reason| {
+                    (reason, counter!("cross_learner_checkpoint_upload_failures_total", "reason" => reason))
+                }),
                 log_failures: counter!("cross_learner_metrics_log_failures_total"),
                 policy_version: gauge!("cross_learner_policy_version"),
                 lag: [lag("min"), lag("mean"), lag("max")],
                 actors: gauge!("cross_learner_actors"),
                 update_seconds: histogram!("cross_learner_update_seconds"),
                 checkpoint_seconds: histogram!("cross_learner_checkpoint_seconds"),
+                upload_seconds: histogram!("cross_learner_checkpoint_upload_seconds"),
                 scenarios: scenarios
                     .iter()
                     .map(|(name, agents)| ScenarioMetrics::new(name, *agents))
@@ -177,6 +188,21 @@ impl Telemetry {
         self.checkpoint_failures.increment(1);
     }
 
+    /// A checkpoint, written at this time (seconds since 1970), is whole in the object store.
+    pub fn uploaded(&self, seconds: f64, written: f64) {
+        self.upload_seconds.record(seconds);
+        metrics::with_local_recorder(&*self.recorder, || {
+            gauge!("cross_learner_checkpoint_uploaded_timestamp_seconds").set(written);
+        });
+    }
+
+    /// The object store did not take a checkpoint, or did not answer.
+    pub fn upload_failed(&self, reason: &str) {
+        for (_, counter) in self.upload_failures.iter().filter(|(label, _)| *label == reason) {
+            counter.increment(1);
+        }
+    }
+
     /// So many damaged checkpoints were passed over at the start.
     pub fn fell_back(&self, checkpoints: usize) {
         self.checkpoint_fallbacks.increment(checkpoints as u64);
@@ -250,6 +276,18 @@ fn describe() {
     describe_counter!("cross_learner_updates_total", "PPO updates done by this process");
     describe_counter!("cross_learner_update_failures_total", "Updates that gave no usable weights");
     describe_counter!("cross_learner_checkpoint_failures_total", "Checkpoints that could not be written");
+    describe_counter!(
+        "cross_learner_checkpoint_upload_failures_total",
+        "Tries to copy a checkpoint to the object store that failed, by reason"
+    );
+    describe_histogram!(
+        "cross_learner_checkpoint_upload_seconds",
+        "Duration of copying a checkpoint to the object store"
+    );
+    describe_gauge!(
+        "cross_learner_checkpoint_uploaded_timestamp_seconds",
+        "When the newest checkpoint in the object store was written, seconds since 1970"
+    );
     describe_counter!(
         "cross_learner_checkpoint_fallbacks_total",
         "Damaged checkpoints passed over when resuming"

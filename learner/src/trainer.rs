@@ -16,7 +16,7 @@ use cross_sim::layout::NetworkLayout;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 
 /// Work for the thread.
 #[derive(Debug)]
@@ -64,6 +64,8 @@ pub(crate) struct TrainerSetup {
     pub(crate) layouts: Vec<(String, Arc<NetworkLayout>)>,
     pub(crate) resumed: Option<Checkpoint>,
     pub(crate) store: Store,
+    /// Told the id of every checkpoint, to copy it elsewhere.
+    pub(crate) mirror: Option<watch::Sender<String>>,
     pub(crate) log: MetricsLog,
     pub(crate) telemetry: Telemetry,
 }
@@ -226,6 +228,9 @@ impl Worker {
                 self.setup.telemetry.checkpointed(seconds);
                 self.setup.telemetry.checkpoint_from(unix_time().as_secs_f64());
                 tracing::info!(checkpoint = id, updates, seconds, "checkpoint written");
+                if let Some(mirror) = &self.setup.mirror {
+                    mirror.send_replace(id.clone());
+                }
             }
             Err(error) => {
                 self.setup.telemetry.checkpoint_failed();

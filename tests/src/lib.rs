@@ -18,5 +18,7 @@ pub mod page;
 pub mod processes;
 pub mod prometheus;
 pub mod runs;
+pub mod s3;
 pub mod scenarios;
+pub mod tools;
 pub mod wait;

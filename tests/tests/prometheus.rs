@@ -52,6 +52,13 @@ fn dashboard_queries() -> Vec<Asked> {
     asked
 }
 
+/// The query on which Kubernetes scales actors, as prometheus-adapter would ask it of this run's.
+fn busy_ratio() -> String {
+    let rules = std::fs::read_to_string(deploy().join("kubernetes/prometheus-adapter.yaml")).unwrap();
+    let (_, query) = rules.split_once("metricsQuery: >-").unwrap();
+    query.replace("<<.GroupBy>>", "instance").replace("<<.LabelMatchers>>", "job=\"cross-actor\"")
+}
+
 /// Feeds a text to `promtool check metrics`, which knows the naming rules and the format.
 fn assert_good_exposition(promtool: &Path, program: &str, exposition: &str) {
     let mut check = Command::new(promtool)
@@ -104,6 +111,10 @@ fn every_query_of_dashboards_and_alerts_is_answered_by_a_real_run() {
         server.query("cross_no_such_metric").unwrap().is_empty(),
         "a metric that nobody exports has no data"
     );
+    let busy = server.query(&busy_ratio()).unwrap();
+    let value: f64 = busy[0]["value"][1].as_str().unwrap().parse().unwrap();
+    assert!((0.0..=1.0).contains(&value), "actors of Kubernetes are scaled on a share, not on {value}");
+
     let queries = dashboard_queries();
     assert!(queries.len() > 40, "only {} queries were found", queries.len());
     let mut unanswered = Vec::new();

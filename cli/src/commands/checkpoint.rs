@@ -2,9 +2,10 @@
 
 use crate::failure::{Failure, OrBadInput, Outcome};
 use crate::output;
+use crate::saved::{Chosen, Saved};
 use crate::train::run_dir::{RUNS, newest};
 use clap::{Args, Subcommand};
-use cross_learner::checkpoint::{LATEST_FILE, Metadata, reader};
+use cross_learner::checkpoint::Metadata;
 use cross_model::Policy;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -19,13 +20,14 @@ Examples:
   cross checkpoint show latest
   cross checkpoint export latest --out policy.safetensors
   cross checkpoint verify 000100 --run runs/paper-3
+  cross checkpoint list --run s3://bucket/paper-3      copies in an object store
 
-An ID is a checkpoint's number as `list` shows it, `latest`, or the path of its directory.")]
+An ID is a checkpoint's number as `list` shows it, `latest`, or the path of its directory, or its URL.")]
 pub(crate) struct Checkpoint {
     #[command(subcommand)]
     command: Command,
-    /// Run directory [default: the newest under runs/]
-    #[arg(long, value_name = "DIR", global = true)]
+    /// Run directory, or URL that checkpoints were copied to [default: the newest under runs/]
+    #[arg(long, value_name = "DIR|URL", global = true)]
     run: Option<PathBuf>,
     /// Print one JSON document
     #[arg(long, global = true)]
@@ -38,12 +40,12 @@ enum Command {
     List,
     /// What one is: updates, configuration, versions, tensors
     Show {
-        /// Number, `latest`, or path
+        /// Number, `latest`, path or URL
         id: String,
     },
     /// Writes one's policy to a file that `cross eval` and any safetensors reader take
     Export {
-        /// Number, `latest`, or path
+        /// Number, `latest`, path or URL
         id: String,
         /// File to write
         #[arg(long, value_name = "FILE")]
@@ -51,7 +53,7 @@ enum Command {
     },
     /// Compares one's files with their recorded sizes and hashes, and loads its networks
     Verify {
-        /// Number, `latest`, or path
+        /// Number, `latest`, path or URL
         id: String,
     },
 }
@@ -67,6 +69,11 @@ impl Checkpoint {
         Ok(ExitCode::SUCCESS)
     }
 
+    fn saved(&self) -> Outcome<Saved> {
+        let by_url = self.run.as_deref().map_or(Ok(None), Saved::by_url)?;
+        by_url.map_or_else(|| self.run_directory().map(Saved::Disk), Ok)
+    }
+
     fn run_directory(&self) -> Outcome<PathBuf> {
         match &self.run {
             Some(path) if path.is_dir() => Ok(path.clone()),
@@ -77,19 +84,22 @@ impl Checkpoint {
         }
     }
 
-    fn find(&self, id: &str) -> Outcome<PathBuf> {
+    fn find(&self, id: &str) -> Outcome<Chosen> {
+        if let Some(chosen) = Chosen::by_url(id)? {
+            return Ok(chosen);
+        }
         let as_path = Path::new(id);
         // An id is digits or `latest`; anything with a separator can only be a path.
         if as_path.components().count() > 1 && as_path.is_dir() {
-            return Ok(as_path.to_owned());
+            return Ok(Chosen::Disk(as_path.to_owned()));
         }
-        reader::find(&self.run_directory()?, id).or_bad_input()
+        self.saved()?.find(id)
     }
 
     fn list(&self) -> Outcome<()> {
-        let run = self.run_directory()?;
-        let entries = reader::list(&run)?;
-        let latest = reader::find(&run, LATEST_FILE).ok();
+        let saved = self.saved()?;
+        let run = saved.path();
+        let (entries, latest) = saved.list()?;
         if self.json {
             let checkpoints: Vec<_> = entries
                 .iter()
@@ -134,9 +144,10 @@ impl Checkpoint {
         output::text(&text)
     }
 
-    fn show(&self, path: &Path) -> Outcome<()> {
-        let metadata = reader::metadata(path).or_bad_input()?;
-        let tensors = reader::tensors(path).or_bad_input()?;
+    fn show(&self, chosen: &Chosen) -> Outcome<()> {
+        let path = &chosen.path();
+        let metadata = chosen.metadata()?;
+        let tensors = chosen.tensors()?;
         if self.json {
             let tensors: Vec<_> = tensors
                 .iter()
@@ -156,8 +167,8 @@ impl Checkpoint {
         output::text(&text)
     }
 
-    fn export(&self, path: &Path, out: &Path) -> Outcome<()> {
-        let metadata = reader::export(path, out).or_bad_input()?;
+    fn export(&self, chosen: &Chosen, out: &Path) -> Outcome<()> {
+        let metadata = chosen.export(out)?;
         if self.json {
             return output::json(&serde_json::json!({
                 "id": metadata.id, "out": out, "policy_version": metadata.policy_version
@@ -166,10 +177,10 @@ impl Checkpoint {
         output::text(&format!("wrote the policy of checkpoint {} to {}", metadata.id, out.display()))
     }
 
-    fn verify(&self, path: &Path) -> Outcome<()> {
-        let metadata = reader::verify(path).or_bad_input()?;
-        let (_, model) = reader::load_policy(path).or_bad_input()?;
-        Policy::from_snapshot(&model).or_bad_input()?;
+    fn verify(&self, chosen: &Chosen) -> Outcome<()> {
+        let path = &chosen.path();
+        let metadata = chosen.verify()?;
+        Policy::from_snapshot(&chosen.model()?).or_bad_input()?;
         if self.json {
             return output::json(&serde_json::json!({ "id": metadata.id, "path": path, "ok": true }));
         }

@@ -31,7 +31,7 @@ pub(crate) struct Eval {
     /// Name of the scenario, or path of a directory with a scenario.toml
     #[arg(long, value_name = "NAME")]
     scenario: String,
-    /// Rule or program by name, or a checkpoint: its directory, a run directory, or a model.safetensors
+    /// Rule or program by name, or a checkpoint: its directory, a run directory, a model.safetensors, or the URL of one
     #[arg(long, value_name = "POLICY")]
     policy: String,
     /// SUMO seeds 1 to N

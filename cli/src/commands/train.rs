@@ -31,6 +31,7 @@ Examples:
   cross train --config configs/paper.toml --seed 3 --run runs/paper-3
   cross train --resume --run runs/paper-3           go on where it stopped
   cross train --resume --run runs/paper-3 --updates 400    ... and further than was asked at first
+  cross train --run runs/a --checkpoints s3://bucket/a   every checkpoint in an object store, too
   cross train --serial --seed 7                     one actor in lock step: the same numbers every time
 
 Ctrl-C or SIGTERM once: the learner finishes its update and writes a checkpoint, and the command ends with
@@ -52,6 +53,10 @@ pub(crate) struct Train {
     /// Go on from the newest checkpoint of the run directory, with its configuration unless --config names another
     #[arg(long)]
     resume: bool,
+    /// Where checkpoints are copied besides the run directory: s3://BUCKET/PATH, gs://, az:// or file:///FOLDER; with
+    /// --resume the run can go on from there. Credentials come from the environment
+    #[arg(long, value_name = "URL")]
+    checkpoints: Option<String>,
     /// Configuration in TOML; the options here go before it. docs/configuration.md explains every key
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -85,14 +90,18 @@ impl Train {
         // Learner and actors read it again, but a person should hear of a bad one from this program, and at once.
         let client = ClientOptions { token: self.token.clone(), ..ClientOptions::default() };
         let security = ClientSecurity::load(&client, Tokens::variable()).or_bad_input()?;
-        let existing = if self.resume { Some(RunDir::open(self.run.as_deref())?) } else { None };
+        let elsewhere = self.checkpoints.as_ref().is_some_and(|url| !url.is_empty());
+        let existing = if self.resume { Some(RunDir::open(self.run.as_deref(), elsewhere)?) } else { None };
         let config = self.resolve(existing.as_ref())?;
         let actors = self.actors(&config)?;
         let ready = preflight::check(&config, self.sumo.locate()?)?;
         let run = match existing {
             Some(run) => {
-                // The learner checks the same, but by then the run's configuration is overwritten.
-                cross_learner::find_checkpoint(run.path(), &config).or_bad_input()?;
+                // The learner checks the same, but by then the run's configuration is overwritten. Where a store may have
+                // what the disk has lost, it alone can tell.
+                if config.learner.checkpoint_url.is_empty() {
+                    cross_learner::find_checkpoint(run.path(), &config).or_bad_input()?;
+                }
                 run
             }
             None => RunDir::create(self.run.as_deref())?,
@@ -108,6 +117,7 @@ impl Train {
             updates: config.updates,
             drain_seconds: config.learner.drain_seconds,
             resume: self.resume,
+            checkpoint_url: config.learner.checkpoint_url.clone(),
             sumo_home: ready.sumo.path().to_owned(),
             token_file: self.token.token_file.clone(),
         };
@@ -153,6 +163,13 @@ impl Train {
     fn resolve(&self, existing: Option<&RunDir>) -> Outcome<Config> {
         let mut config = match (&self.config, existing) {
             (Some(file), _) => Config::from_file(file).or_bad_input()?,
+            (None, Some(run)) if run.config().exists() => Config::from_file(&run.config()).or_bad_input()?,
+            (None, Some(run)) if self.checkpoints.is_some() => {
+                return Err(Failure::input(format!(
+                    "{} has no config.toml to go on with; name the run's configuration with --config",
+                    run.path().display()
+                )));
+            }
             (None, Some(run)) => Config::from_file(&run.config()).or_bad_input()?,
             (None, None) => Config::default(),
         };
@@ -170,6 +187,9 @@ impl Train {
         }
         if let Some(device) = self.device {
             config.learner.device = device;
+        }
+        if let Some(url) = &self.checkpoints {
+            config.learner.checkpoint_url.clone_from(url);
         }
         if self.serial {
             config.learner.serial = true;

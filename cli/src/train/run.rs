@@ -33,6 +33,8 @@ pub(crate) struct Plan {
     pub(crate) updates: u64,
     pub(crate) drain_seconds: u64,
     pub(crate) resume: bool,
+    /// Where the learner copies checkpoints; empty for nowhere.
+    pub(crate) checkpoint_url: String,
     pub(crate) sumo_home: PathBuf,
     /// File of the token that all calls carry. One from a variable reaches the processes by itself.
     pub(crate) token_file: Option<PathBuf>,
@@ -201,8 +203,11 @@ impl Cluster<'_> {
             listen.into(),
         ];
         arguments.extend(self.settled());
-        // A learner that died before its first checkpoint has nothing to go on from.
-        if (self.plan.resume || again) && self.run.has_checkpoints() {
+        // Also where there is none, so that a variable, meant for a cluster, changes nothing.
+        arguments.extend(["--checkpoints".into(), self.plan.checkpoint_url.clone().into()]);
+        // A learner that died before its first checkpoint has nothing to go on from; what a store has, the learner finds out.
+        let saved = self.run.has_checkpoints() || !self.plan.checkpoint_url.is_empty();
+        if (self.plan.resume || again) && saved {
             arguments.push("--resume".into());
         }
         self.learner = Some(Process::start(&self.learner_program, &arguments, &self.run.log("learner"))?);
@@ -285,7 +290,7 @@ impl Cluster<'_> {
                 log("learner")
             )),
             Cause::DrainFailed(exit) => Failure::failed(format!(
-                "the learner {exit} when it was to stop, without its last checkpoint: {learner}{resume}, and see {}",
+                "the learner {exit} when it was to stop, without all that it was to save: {learner}{resume}, and see {}",
                 log("learner")
             )),
             Cause::LearnerRestarts { exit, per_minute } => Failure::failed(format!(

@@ -54,15 +54,17 @@ impl RunDir {
         Ok(run)
     }
 
-    /// A run that is there. Without `given` the newest one under [`RUNS`].
-    pub(crate) fn open(given: Option<&Path>) -> Outcome<Self> {
+    /// A run that is there. Without `given` the newest one under [`RUNS`]. `elsewhere` if its checkpoints are in a store too:
+    /// then the directory may have lost everything.
+    pub(crate) fn open(given: Option<&Path>, elsewhere: bool) -> Outcome<Self> {
         let path = match given {
             Some(path) => path.to_owned(),
             None => newest(Path::new(RUNS)).ok_or_else(|| {
                 Failure::input(format!("there is no run under {RUNS}/ in this folder to resume; go where you trained, or name one with --run DIR"))
             })?,
         };
-        if !holds_run(&path) {
+        let may_be_empty = elsewhere && given.is_some();
+        if !may_be_empty && !holds_run(&path) {
             return Err(Failure::input(format!(
                 "{} holds no run to resume; leave out --resume to start one there",
                 path.display()
@@ -215,11 +217,11 @@ mod tests {
         let path = directory.path().join("run");
         let first = RunDir::create(Some(&path)).unwrap();
         std::fs::write(first.config(), "").unwrap();
-        let error = RunDir::open(Some(&path)).unwrap_err();
+        let error = RunDir::open(Some(&path), false).unwrap_err();
         assert!(error.to_string().contains("another"), "{error}");
         assert_eq!(error.code(), crate::failure::BAD_INPUT);
         drop(first);
-        RunDir::open(Some(&path)).unwrap();
+        RunDir::open(Some(&path), false).unwrap();
         let error = RunDir::create(Some(&path)).unwrap_err();
         assert!(error.to_string().contains("--resume"), "{error}");
     }
@@ -227,7 +229,7 @@ mod tests {
     #[test]
     fn there_must_be_something_to_resume() {
         let directory = tempfile::tempdir().unwrap();
-        let error = RunDir::open(Some(directory.path())).unwrap_err();
+        let error = RunDir::open(Some(directory.path()), false).unwrap_err();
         assert!(error.to_string().contains("no run to resume"), "{error}");
     }
 }

@@ -1,5 +1,7 @@
-//! What can be wrong with a checkpoint, in one sentence that names the file.
+//! What can be wrong with a checkpoint, in one sentence that names the file. Where a checkpoint is in an object store, the
+//! paths are URLs.
 
+use super::remote::StoreTrouble;
 use std::path::{Path, PathBuf};
 
 /// A checkpoint that cannot be read, written or used.
@@ -29,7 +31,7 @@ pub enum CheckpointError {
         /// The checkpoint.
         path: PathBuf,
         /// The file.
-        file: &'static str,
+        file: String,
     },
     /// A file is shorter or longer than when it was written.
     #[error("{} has {got} bytes instead of {expected}, it was cut off or overwritten; take another checkpoint", path.display())]
@@ -79,6 +81,37 @@ pub enum CheckpointError {
         /// The run's.
         expected: String,
     },
+    /// The object store did not do what was asked of it.
+    #[error("cannot {action} {url}: {trouble}")]
+    Store {
+        /// What was being done.
+        action: &'static str,
+        /// To which object, or to which place.
+        url: String,
+        /// Why not, and what to do.
+        trouble: StoreTrouble,
+    },
+    /// The store holds the checkpoints of another run.
+    #[error(
+        "{url} holds the checkpoints of run {got}, and this is run {expected}; \
+         name another URL, or resume in the run directory of that run or in an empty one"
+    )]
+    OtherRun {
+        /// The place.
+        url: String,
+        /// Whose checkpoints are there.
+        got: String,
+        /// Who asked.
+        expected: String,
+    },
+    /// A new run was to begin where there are checkpoints already.
+    #[error("{url} already holds the checkpoints of run {run}; pass --resume to go on, or name another URL")]
+    Occupied {
+        /// The place.
+        url: String,
+        /// Whose checkpoints are there.
+        run: String,
+    },
     /// Every checkpoint of a run is unusable.
     #[error(
         "none of the {count} checkpoints in {} can be used; the newest: {newest}; \
@@ -102,6 +135,12 @@ impl CheckpointError {
         move |source| Self::Io { action, path, source }
     }
 
+    /// Whether the place cannot be reached just now, so that nothing is wrong with what was asked.
+    #[must_use]
+    pub fn is_passing(&self) -> bool {
+        matches!(self, Self::Store { trouble: StoreTrouble::Unreachable(_), .. })
+    }
+
     /// Whether the files of this one checkpoint are at fault, so that another may do. Nothing says so of a file that the
     /// operating system does not let us read now, nor of one that a newer release wrote: both may be sound.
     #[must_use]
@@ -114,6 +153,9 @@ impl CheckpointError {
             | Self::NotFound { .. }
             | Self::FormatVersion { .. }
             | Self::Incompatible { .. }
+            | Self::Store { .. }
+            | Self::OtherRun { .. }
+            | Self::Occupied { .. }
             | Self::NoneUsable { .. } => false,
         }
     }

@@ -8,11 +8,14 @@
 //!                   latest                        id of the newest, replaced last
 //! ```
 //! A checkpoint appears under its name in one step (written aside, synchronised, renamed), so half of one is never seen;
-//! `latest` moves only afterwards. [`reader`] never trusts a file before its hash has been compared.
+//! `latest` moves only afterwards. [`reader`] never trusts a file before its hash has been compared. [`remote`] keeps copies
+//! in an object store, in the same form and by the same rules.
 
 mod error;
 mod metadata;
+mod parcel;
 pub mod reader;
+pub mod remote;
 mod store;
 #[cfg(test)]
 mod tests;

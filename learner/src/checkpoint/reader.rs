@@ -2,6 +2,7 @@
 
 use super::error::CheckpointError;
 use super::metadata::{FileInfo, Metadata};
+use super::parcel::Parcel;
 use super::{FOLDER, LATEST_FILE, METADATA_FILE, MODEL_FILE, OPTIMIZER_FILE, updates_of};
 use cross_model::TrainerFiles;
 use cross_support::files::replace_file;
@@ -113,11 +114,29 @@ pub fn find(run: &Path, id: &str) -> Result<PathBuf, CheckpointError> {
 /// # Errors
 /// [`CheckpointError`] names the file at fault.
 pub fn metadata(checkpoint: &Path) -> Result<Metadata, CheckpointError> {
+    described(&read_file(checkpoint, METADATA_FILE)?, checkpoint)
+}
+
+/// The description that these bytes are.
+pub(super) fn described(bytes: &[u8], checkpoint: &Path) -> Result<Metadata, CheckpointError> {
     let path = checkpoint.join(METADATA_FILE);
-    let bytes = read_file(checkpoint, METADATA_FILE)?;
-    let text = String::from_utf8(bytes)
+    let text = std::str::from_utf8(bytes)
         .map_err(|_| CheckpointError::Foreign { path: path.clone(), reason: "it is not text".to_owned() })?;
-    Metadata::parse(&text, &path)
+    Metadata::parse(text, &path)
+}
+
+/// A checkpoint's files as they lie there, checked.
+///
+/// # Errors
+/// [`CheckpointError`] names the file at fault.
+pub(crate) fn parcel(checkpoint: &Path) -> Result<Parcel, CheckpointError> {
+    let description = read_file(checkpoint, METADATA_FILE)?;
+    let metadata = described(&description, checkpoint)?;
+    let files = Parcel::names(&metadata, checkpoint)?
+        .into_iter()
+        .map(|name| Ok((name.clone(), checked(checkpoint, &name, &metadata)?)))
+        .collect::<Result<_, CheckpointError>>()?;
+    Ok(Parcel { metadata, description, files })
 }
 
 /// Reads a checkpoint and compares every file with its recorded size and hash.
@@ -220,19 +239,30 @@ pub fn resume(run: &Path, compatibility_hash: &str) -> Result<Option<Resumed>, C
     }
 }
 
-fn read_file(checkpoint: &Path, name: &'static str) -> Result<Vec<u8>, CheckpointError> {
+fn read_file(checkpoint: &Path, name: &str) -> Result<Vec<u8>, CheckpointError> {
     let path = checkpoint.join(name);
     std::fs::read(&path).map_err(|error| match error.kind() {
         // The second: a file lies where the checkpoint's directory should be.
         io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
-            CheckpointError::Missing { path: checkpoint.to_owned(), file: name }
+            CheckpointError::Missing { path: checkpoint.to_owned(), file: name.to_owned() }
         }
         _ => CheckpointError::io("read", &path)(error),
     })
 }
 
-fn checked(checkpoint: &Path, name: &'static str, metadata: &Metadata) -> Result<Vec<u8>, CheckpointError> {
+fn checked(checkpoint: &Path, name: &str, metadata: &Metadata) -> Result<Vec<u8>, CheckpointError> {
     let bytes = read_file(checkpoint, name)?;
+    check(&bytes, name, metadata, checkpoint)?;
+    Ok(bytes)
+}
+
+/// Compares a file's bytes with the size and hash that the description records.
+pub(super) fn check(
+    bytes: &[u8],
+    name: &str,
+    metadata: &Metadata,
+    checkpoint: &Path,
+) -> Result<(), CheckpointError> {
     let expected = metadata.files.get(name).ok_or_else(|| CheckpointError::Foreign {
         path: checkpoint.join(METADATA_FILE),
         reason: format!("it has no hash of {name}"),
@@ -241,10 +271,10 @@ fn checked(checkpoint: &Path, name: &'static str, metadata: &Metadata) -> Result
     if bytes.len() as u64 != expected.bytes {
         return Err(CheckpointError::Truncated { path, got: bytes.len() as u64, expected: expected.bytes });
     }
-    if FileInfo::of(&bytes) != *expected {
+    if FileInfo::of(bytes) != *expected {
         return Err(CheckpointError::Damaged { path });
     }
-    Ok(bytes)
+    Ok(())
 }
 
 /// The tensors of a safetensors file's bytes, by name; `path` is how errors call it.

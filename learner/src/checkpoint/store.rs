@@ -2,6 +2,7 @@
 
 use super::error::CheckpointError;
 use super::metadata::{FileInfo, Metadata};
+use super::parcel::Parcel;
 use super::{FOLDER, LATEST_FILE, METADATA_FILE, MODEL_FILE, OPTIMIZER_FILE, id, updates_of};
 use cross_model::TrainerFiles;
 use cross_support::files::{ASIDE, remove_any, replace_file, sync_directory, write_synced};
@@ -54,26 +55,56 @@ impl Store {
             .into_iter()
             .map(|(name, bytes)| (name.to_owned(), FileInfo::of(bytes)))
             .collect();
-        let aside = self.folder.join(format!("{ASIDE}{id}"));
-        let written = self.fill(&aside, files, &metadata).and_then(|()| self.move_in(&aside, &id));
-        if let Err(error) = written {
-            // The failure that matters is the first one; what stays is cleared away at the next start.
-            let _ = std::fs::remove_dir_all(&aside);
-            return Err(error);
-        }
+        // Plain data serialises.
+        let description = serde_json::to_vec_pretty(&metadata).expect("metadata serialises");
+        self.place(
+            &id,
+            [
+                (MODEL_FILE, &files.model[..]),
+                (OPTIMIZER_FILE, &files.optimizer),
+                (METADATA_FILE, &description),
+            ],
+        )?;
         self.point_latest(&id)?;
         self.prune(&id);
         Ok(id)
     }
 
-    fn fill(&self, aside: &Path, files: &TrainerFiles, metadata: &Metadata) -> Result<(), CheckpointError> {
+    /// Puts a checkpoint that came from elsewhere into the folder, as it is. `latest` stays where it is, until
+    /// [`go_on_from`](Self::go_on_from) moves it.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Io`]; all other checkpoints are then as they were.
+    pub(super) fn install(&self, parcel: &Parcel) -> Result<PathBuf, CheckpointError> {
+        let id = id(parcel.metadata.updates);
+        let files = parcel.files.iter().map(|(name, bytes)| (name.as_str(), &bytes[..]));
+        self.place(&id, files.chain([(METADATA_FILE, &parcel.description[..])]))?;
+        Ok(self.folder.join(id))
+    }
+
+    /// Writes a checkpoint's files aside and gives them their name in one step.
+    fn place<'a>(
+        &self,
+        id: &str,
+        files: impl IntoIterator<Item = (&'a str, &'a [u8])>,
+    ) -> Result<(), CheckpointError> {
+        let aside = self.folder.join(format!("{ASIDE}{id}"));
+        let written = self.fill(&aside, files).and_then(|()| self.move_in(&aside, id));
+        if written.is_err() {
+            // The failure that matters is the first one; what stays is cleared away at the next start.
+            let _ = std::fs::remove_dir_all(&aside);
+        }
+        written
+    }
+
+    fn fill<'a>(
+        &self,
+        aside: &Path,
+        files: impl IntoIterator<Item = (&'a str, &'a [u8])>,
+    ) -> Result<(), CheckpointError> {
         remove_any(aside).map_err(CheckpointError::io("remove", aside))?;
         std::fs::create_dir(aside).map_err(CheckpointError::io("create", aside))?;
-        // Plain data serialises.
-        let description = serde_json::to_vec_pretty(metadata).expect("metadata serialises");
-        for (name, bytes) in
-            [(MODEL_FILE, &files.model), (OPTIMIZER_FILE, &files.optimizer), (METADATA_FILE, &description)]
-        {
+        for (name, bytes) in files {
             let path = aside.join(name);
             (self.write)(&path, bytes).map_err(CheckpointError::io("write", &path))?;
         }

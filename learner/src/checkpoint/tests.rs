@@ -9,9 +9,9 @@ use std::io;
 use std::path::Path;
 use std::time::{Duration, UNIX_EPOCH};
 
-const COMPATIBLE: &str = "0123456789abcdef";
+pub(super) const COMPATIBLE: &str = "0123456789abcdef";
 
-fn metadata(updates: u64) -> Metadata {
+pub(super) fn metadata(updates: u64) -> Metadata {
     let config = cross_config::Config::default();
     Metadata {
         format: FORMAT.to_owned(),
@@ -37,7 +37,7 @@ fn metadata(updates: u64) -> Metadata {
     }
 }
 
-fn files(byte: u8) -> TrainerFiles {
+pub(super) fn files(byte: u8) -> TrainerFiles {
     let tensor = |name: &str| {
         let data = [byte; 8];
         let view = safetensors::tensor::TensorView::new(safetensors::Dtype::F32, vec![2], &data).unwrap();
@@ -46,7 +46,7 @@ fn files(byte: u8) -> TrainerFiles {
     TrainerFiles { model: tensor("w"), optimizer: tensor("w.adam_m") }
 }
 
-fn run_with(updates: &[u64]) -> tempfile::TempDir {
+pub(super) fn run_with(updates: &[u64]) -> tempfile::TempDir {
     let run = tempfile::tempdir().unwrap();
     let store = Store::open(run.path(), 10).unwrap();
     for &updates in updates {

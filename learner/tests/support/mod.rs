@@ -120,6 +120,7 @@ impl TestLearner {
             run: run.to_owned(),
             run_id: "test".to_owned(),
             resumed: find_checkpoint(run, &config).unwrap(),
+            mirror: None,
             config: config.clone(),
             security,
         };
