@@ -40,7 +40,7 @@ mod tests {
     fn lengths_may_lie() {
         assert_eq!(split(&[9, 0, 0, 0, 1, 2]), [&[1, 2][..], &[]]);
         assert_eq!(split(&[1, 0, 0, 0, 7, 8, 9]), [&[7][..], &[8, 9], &[]]);
-        assert_eq!(split::<2>(&[]), [&[][..], &[]]);
+        assert_eq!(split::<2>(&[]), [&[] as &[u8], &[]]);
         assert_eq!(split(&[0xff; 5]), [&[0xff][..], &[]]);
     }
 }
