@@ -12,12 +12,18 @@ pub const REQUIRE: &str = "CROSS_TESTS_REQUIRE_PACKAGES";
 /// When it is missing and [`REQUIRE`] is set.
 #[must_use]
 pub fn program(name: &str, package: &str) -> Option<PathBuf> {
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let found = std::env::split_paths(&path).map(|folder| folder.join(name)).find(|file| file.is_file());
+    let found = find(name);
     if found.is_none() {
         skipped(&format!("{name} was not found; install it with: apt-get install {package}"));
     }
     found
+}
+
+/// Finds a program on PATH.
+#[must_use]
+pub fn find(name: &str) -> Option<PathBuf> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&path).map(|folder| folder.join(name)).find(|file| file.is_file())
 }
 
 /// Names a test that cannot run here, with the reason and the remedy.
