@@ -18,6 +18,9 @@ const UPDATES_AFTER: u64 = 20;
 /// Throughput that is not back by then will not come back.
 const NEVER: u64 = 90;
 
+/// A minute, which is usual, is too long to wait for each SUMO that hangs.
+const HUNG_SUMO: &str = "sumo_timeout_seconds = 5\n";
+
 /// What to do.
 #[derive(Debug, Clone)]
 pub struct Campaign {
@@ -44,7 +47,7 @@ impl Campaign {
         let setting = Setting {
             actors: self.actors,
             updates: 1_000_000,
-            config: CONFIG.to_owned(),
+            config: format!("{CONFIG}{HUNG_SUMO}"),
             instrumented: true,
         };
         let mut world = World::new(setting);

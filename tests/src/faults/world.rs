@@ -51,7 +51,6 @@ checkpoint_updates = 5
 lease_seconds = 10
 [actor]
 fragment_steps = 10
-sumo_timeout_seconds = 4
 "#;
 
 /// What kind of world.
