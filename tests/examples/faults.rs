@@ -84,7 +84,7 @@ fn strike(options: &Strike) -> ExitCode {
         actors: options.actors,
         only,
         warm_up: Duration::from_secs(15),
-        rest: Duration::from_secs(2),
+        rest: Duration::from_secs(1),
     };
     match campaign.run(|line| println!("{line}")) {
         Ok(report) => {

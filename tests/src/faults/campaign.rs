@@ -1,7 +1,7 @@
 //! A campaign: one training run, one fault after another, and the end that every run has to come to.
 
 use super::Broken;
-use super::inject::{Kind, inject};
+use super::inject::{Kind, afterwards, inject};
 use super::plan::plan;
 use super::report::{Report, Struck};
 use super::world::{CONFIG, Setting, World};
@@ -97,6 +97,7 @@ impl Campaign {
             let over = inject(world, &fault)?;
             let lasted = over.since.saturating_duration_since(began);
             let recovery = world.recover(&over, NEVER)?;
+            afterwards(world, &over)?;
             let struck = Struck { kind: fault.kind, lasted, recovery };
             tell(&format!(
                 "{:>3} of {}  {:<48}  lasted {:>4.1} s, back after {:>4.1} s; {} decisions in 2 s are usual",
@@ -133,7 +134,7 @@ fn finish(world: &mut World) -> Result<u64, Broken> {
     if let Some(exit) = world.exits.iter().find(|exit| exit.code != Some(0)) {
         return Err(Broken::new(
             "training reaches its target",
-            format!("not every process ended well: {exit:?}"),
+            format!("not every process ended well: {exit}"),
         ));
     }
     let run = world.run();

@@ -21,6 +21,8 @@ pub struct Over {
     pub actors: Vec<String>,
     /// Whether they lost their episodes, so that only the beginning of another one counts.
     pub anew: bool,
+    /// The newest checkpoint, if a newer one has to follow.
+    pub checkpoint: Option<String>,
 }
 
 #[derive(Debug)]
@@ -131,7 +133,7 @@ mod tests {
         }
         assert_eq!(flow.usual(), 200);
         flow.disturbed();
-        let over = Over { since: at(250), actors: vec!["b".to_owned()], anew: true };
+        let over = Over { since: at(250), actors: vec!["b".to_owned()], anew: true, checkpoint: None };
         for tenth in 251..=300 {
             flow.add(at(tenth), &[accepted("a", 1, 4)]);
         }

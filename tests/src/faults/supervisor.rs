@@ -2,7 +2,6 @@
 
 use crate::processes;
 use rustix::process::Signal;
-use std::os::unix::process::ExitStatusExt as _;
 use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
 
@@ -36,10 +35,16 @@ pub(super) struct Exit {
     pub name: String,
     /// Exit code, or none if a signal ended it.
     pub code: Option<i32>,
-    /// The signal.
-    pub signal: Option<i32>,
+    /// How it ended, in words.
+    pub how: String,
     /// Whether the suite had signalled it.
     pub struck: bool,
+}
+
+impl std::fmt::Display for Exit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} ended with {}", self.name, self.how)
+    }
 }
 
 impl Service {
@@ -77,7 +82,7 @@ impl Service {
         }
         self.next = Instant::now() + self.pause;
         self.pause = (self.pause * 2).min(LONGEST_PAUSE);
-        Exit { name: self.name.clone(), code: status.code(), signal: status.signal(), struck: self.struck }
+        Exit { name: self.name.clone(), code: status.code(), how: status.to_string(), struck: self.struck }
     }
 
     /// Its process, while there is one.

@@ -255,7 +255,7 @@ impl World {
         if let Some(exit) =
             self.exits.iter().find(|exit| !exit.struck && !self.lenient && exit.code != Some(0))
         {
-            return Err(Broken::new("no process ends by itself", format!("{exit:?}")));
+            return Err(Broken::new("no process ends by itself", exit.to_string()));
         }
         std::thread::sleep(STEP.saturating_sub(now.elapsed()));
         Ok(())

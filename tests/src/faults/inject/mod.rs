@@ -134,6 +134,18 @@ pub fn inject(world: &mut World, fault: &Fault) -> Result<Over, Broken> {
     }
 }
 
+/// What has to follow once throughput is back.
+///
+/// # Errors
+/// If it does not.
+pub fn afterwards(world: &mut World, over: &Over) -> Result<(), Broken> {
+    let Some(before) = &over.checkpoint else { return Ok(()) };
+    let run = world.run();
+    world.until("a checkpoint on a disk that has room again", 60, |_| {
+        disk::newest(&run).is_some_and(|newest| newest > *before).then_some(())
+    })
+}
+
 /// Between a tenth of the longest and the longest.
 fn lasts(fault: &Fault, longest: f64) -> Duration {
     Duration::from_secs_f64(longest * (0.1 + 0.9 * fault.share))
@@ -141,17 +153,22 @@ fn lasts(fault: &Fault, longest: f64) -> Duration {
 
 /// Over now, for this actor.
 fn over(n: usize, anew: bool) -> Over {
-    Over { since: Instant::now(), actors: vec![actor_name(n)], anew }
+    Over { since: Instant::now(), actors: vec![actor_name(n)], anew, checkpoint: None }
 }
 
 /// Over now, for every actor.
 fn over_for_all(world: &World, anew: bool) -> Over {
-    Over { since: Instant::now(), actors: (0..world.actors.len()).map(actor_name).collect(), anew }
+    Over {
+        since: Instant::now(),
+        actors: (0..world.actors.len()).map(actor_name).collect(),
+        anew,
+        checkpoint: None,
+    }
 }
 
 /// Over now, and it should not have touched anybody.
 fn over_for_nobody() -> Over {
-    Over { since: Instant::now(), actors: Vec::new(), anew: false }
+    Over { since: Instant::now(), actors: Vec::new(), anew: false, checkpoint: None }
 }
 
 /// Could not be injected.

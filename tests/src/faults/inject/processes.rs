@@ -76,7 +76,7 @@ pub(super) fn learner_drained(world: &mut World) -> Result<Over, Broken> {
         world.exits.iter().find(|exit| exit.name == "learner").cloned()
     })?;
     if exit.code != Some(0) {
-        return Err(Broken::new("SIGTERM ends well", format!("{exit:?}")));
+        return Err(Broken::new("SIGTERM ends well", exit.to_string()));
     }
     Ok(over)
 }
@@ -107,5 +107,5 @@ pub(super) fn clock_jump(world: &mut World, fault: &Fault) -> Result<Over, Broke
     // By then every process has looked at its clock again.
     world.go_on(Duration::from_secs(2))?;
     let actors = jumping.flat_map(|clock| clock.checked_sub(1)).map(actor_name).collect();
-    Ok(Over { since, actors, anew: false })
+    Ok(Over { since, actors, anew: false, checkpoint: None })
 }
