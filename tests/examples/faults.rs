@@ -82,6 +82,8 @@ fn strike(options: &Strike) -> ExitCode {
         seed: options.seed,
         faults: options.faults,
         actors: options.actors,
+        longest: 1.0,
+        checkpoint_updates: 5,
         only,
         warm_up: Duration::from_secs(15),
         rest: Duration::from_secs(1),

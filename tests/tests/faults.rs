@@ -21,8 +21,10 @@ fn training_survives_every_kind_of_fault_and_no_invariant_breaks() {
         seed: 1,
         faults: Kind::ALL.len(),
         actors: 3,
+        longest: 0.25,
+        checkpoint_updates: 2,
         only: Vec::new(),
-        warm_up: Duration::from_secs(6),
+        warm_up: Duration::from_secs(4),
         rest: Duration::ZERO,
     };
     let mut told = String::new();

@@ -19,7 +19,9 @@ const UPDATES_AFTER: u64 = 20;
 const NEVER: u64 = 90;
 
 /// A minute, which is usual, is too long to wait for each SUMO that hangs.
-const HUNG_SUMO: &str = "sumo_timeout_seconds = 5\n";
+const HUNG_SUMO: u64 = 5;
+/// A short lease, so that pauses and cuts outlast it.
+const LEARNER: &str = "device = \"cpu\"\nlease_seconds = 10\n";
 
 /// What to do.
 #[derive(Debug, Clone)]
@@ -30,6 +32,10 @@ pub struct Campaign {
     pub faults: usize,
     /// Actors.
     pub actors: usize,
+    /// Length of the longest faults, as a share of the longest of their kind.
+    pub longest: f64,
+    /// Updates from one checkpoint to the next.
+    pub checkpoint_updates: u64,
     /// Only these kinds; all if empty. For the search for a cause.
     pub only: Vec<Kind>,
     /// Time without a fault at the beginning, to learn what is usual.
@@ -44,12 +50,11 @@ impl Campaign {
     /// # Errors
     /// What did not hold, with the ends of all logs, and the report of what was before.
     pub fn run(&self, mut tell: impl FnMut(&str)) -> Result<Report, Box<(Broken, String, Report)>> {
-        let setting = Setting {
-            actors: self.actors,
-            updates: 1_000_000,
-            config: format!("{CONFIG}{HUNG_SUMO}"),
-            instrumented: true,
-        };
+        let config = format!(
+            "{CONFIG}sumo_timeout_seconds = {HUNG_SUMO}\n[learner]\ncheckpoint_updates = {}\n{LEARNER}",
+            self.checkpoint_updates
+        );
+        let setting = Setting { actors: self.actors, updates: 1_000_000, config, instrumented: true };
         let mut world = World::new(setting);
         let mut report = Report::new(self.seed, self.actors);
         let begun = Instant::now();
@@ -86,13 +91,12 @@ impl Campaign {
             world.status().is_some_and(|status| status.updates > 0).then_some(())
         })?;
         world.undisturbed(self.warm_up)?;
-        let faults = plan(self.seed, self.faults, self.actors);
+        let faults = plan(self.seed, self.faults, self.actors, self.longest);
         for (number, mut fault) in faults.into_iter().enumerate() {
             if !self.only.is_empty() {
                 fault.kind = self.only[number % self.only.len()];
             }
-            world.undisturbed(self.rest)?;
-            world.go_on(fault.wait)?;
+            world.undisturbed(self.rest + fault.wait)?;
             let began = Instant::now();
             let over = inject(world, &fault)?;
             let lasted = over.since.saturating_duration_since(began);

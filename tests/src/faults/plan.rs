@@ -21,9 +21,10 @@ pub struct Fault {
     pub draw: u64,
 }
 
-/// So many faults. Every kind comes once before any comes again, in an order drawn anew each time.
+/// So many faults, none longer than this share of the longest of its kind. Every kind comes once before any comes again, in an
+/// order drawn anew each time.
 #[must_use]
-pub fn plan(seed: u64, faults: usize, actors: usize) -> Vec<Fault> {
+pub fn plan(seed: u64, faults: usize, actors: usize, longest: f64) -> Vec<Fault> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut plan = Vec::with_capacity(faults);
     while plan.len() < faults {
@@ -34,7 +35,7 @@ pub fn plan(seed: u64, faults: usize, actors: usize) -> Vec<Fault> {
                 kind,
                 actor: rng.random_range(0..actors),
                 wait: Duration::from_millis(rng.random_range(0..1500)),
-                share: rng.random_range(0.0..1.0),
+                share: longest * rng.random_range(0.0..1.0),
                 draw: rng.random(),
             });
         }
@@ -49,9 +50,9 @@ mod tests {
     #[test]
     fn a_plan_depends_on_its_seed_and_leaves_no_kind_out() {
         let kinds = Kind::ALL.len();
-        assert_eq!(plan(1, 3 * kinds, 4), plan(1, 3 * kinds, 4));
-        assert_ne!(plan(1, 3 * kinds, 4), plan(2, 3 * kinds, 4));
-        let plan = plan(1, kinds, 4);
+        assert_eq!(plan(1, 3 * kinds, 4, 1.0), plan(1, 3 * kinds, 4, 1.0));
+        assert_ne!(plan(1, 3 * kinds, 4, 1.0), plan(2, 3 * kinds, 4, 1.0));
+        let plan = plan(1, kinds, 4, 1.0);
         for kind in Kind::ALL {
             assert_eq!(plan.iter().filter(|fault| fault.kind == kind).count(), 1, "{kind:?}");
         }

@@ -45,10 +45,6 @@ round_steps = 100
 epochs = 1
 sequence_steps = 10
 minibatch_decisions = 256
-[learner]
-device = "cpu"
-checkpoint_updates = 5
-lease_seconds = 10
 [actor]
 fragment_steps = 10
 "#;

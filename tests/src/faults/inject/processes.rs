@@ -96,7 +96,8 @@ pub(super) fn power_cut(world: &mut World) -> Result<Over, Broken> {
 pub(super) fn clock_jump(world: &mut World, fault: &Fault) -> Result<Over, Broken> {
     const TWO_DAYS: f64 = 2.0 * 24.0 * 3600.0;
     // Seconds as likely as days.
-    let seconds = (TWO_DAYS.ln() * fault.share).exp().round() as i64;
+    let share = (fault.draw >> 32) as f64 / f64::from(u32::MAX);
+    let seconds = (TWO_DAYS.ln() * share).exp().round() as i64;
     let seconds = if fault.draw.is_multiple_of(2) { seconds } else { -seconds };
     let which = (fault.draw / 2) as usize % (world.clocks.len() + 1);
     let jumping = if which == world.clocks.len() { 0..which } else { which..which + 1 };
