@@ -1,6 +1,7 @@
 //! A campaign: one training run, one fault after another, and the end that every run has to come to.
 
 use super::Broken;
+use super::clock;
 use super::inject::{Kind, afterwards, inject};
 use super::plan::plan;
 use super::report::{Report, Struck};
@@ -70,6 +71,7 @@ impl Campaign {
         match ended {
             Ok(()) => {
                 drop(world);
+                clock::sweep();
                 processes::assert_none_left(&marker);
                 Ok(report)
             }

@@ -4,6 +4,19 @@ use super::tools;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+/// Removes what libfaketime leaves in shared memory of processes that were killed.
+pub(super) fn sweep() {
+    for entry in std::fs::read_dir("/dev/shm").into_iter().flatten().flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let owner =
+            ["faketime_shm_", "sem.faketime_sem_"].iter().find_map(|prefix| name.strip_prefix(prefix));
+        if owner.is_some_and(|pid| pid.parse::<i32>().is_ok() && !Path::new("/proc").join(pid).exists()) {
+            // Another suite may have been quicker.
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
+
 /// The wall clock of one process.
 #[derive(Debug, Clone)]
 pub(super) struct Clock {

@@ -47,7 +47,7 @@ fn reason(status: &Status) -> String {
         .map_or_else(|| status.to_string(), |reason| reason.as_str().to_owned())
 }
 
-fn expect<T: std::fmt::Debug + PartialEq>(what: &str, seen: T, wanted: T) -> Result<(), String> {
+fn expect<T: std::fmt::Debug + PartialEq + Copy>(what: &str, seen: T, wanted: T) -> Result<(), String> {
     if seen == wanted { Ok(()) } else { Err(format!("{what}: {seen:?} instead of {wanted:?}")) }
 }
 
@@ -178,7 +178,7 @@ fn fragment(
     let state = if sequence == 0 { Vec::new() } else { hidden };
     Ok(WireFragment::from(&Fragment {
         id: FragmentId { actor: NAME.to_owned(), session_epoch: joined.session_epoch, episode, sequence },
-        scenario: scenario.name.clone(),
+        scenario: scenario.name,
         layout_hash: layout.hash(),
         policy_version: joined.policy_version,
         first_step: sequence * STEPS,

@@ -110,7 +110,7 @@ impl World {
             .map(|(n, name)| Journal::new(&log(&root, &name), (n > 0).then_some(name.as_str())))
             .collect();
         write_config(&root, &setting.config, setting.updates);
-        let launch = Launch { root: root.clone(), marker, instrumented: setting.instrumented };
+        let launch = Launch { root, marker, instrumented: setting.instrumented };
         let learner = Service::new("learner", launch.learner(net.learner(), clocks[0].clone()));
         let actors = (0..setting.actors)
             .map(|n| {

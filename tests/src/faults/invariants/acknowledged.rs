@@ -48,10 +48,10 @@ impl Acknowledged {
                     self.counts.2 += 1;
                     self.buffered.remove(id);
                 }
-                Entry::Acknowledged { id, outcome } if outcome == "OUTCOME_ACCEPTED" => {
-                    if !self.accepted.contains(id) {
-                        self.unconfirmed.insert(id.clone(), look.now);
-                    }
+                Entry::Acknowledged { id, outcome }
+                    if outcome == "OUTCOME_ACCEPTED" && !self.accepted.contains(id) =>
+                {
+                    self.unconfirmed.insert(id.clone(), look.now);
                 }
                 _ => {}
             }

@@ -17,7 +17,8 @@ impl TrainedOnce {
         for entry in look.entries {
             match entry {
                 Entry::Accepted { id, .. } => {
-                    if self.fate.insert(id.clone(), None).is_some() {
+                    let known = self.fate.insert(id.clone(), None).is_some();
+                    if known {
                         return Err(format!("{id} was accepted a second time"));
                     }
                 }

@@ -58,7 +58,7 @@ mod tests {
     #[test]
     fn a_version_may_fall_only_to_the_newest_checkpoint_of_a_learner_that_ended() {
         let mut versions = Versions::default();
-        let mut see = |versions: &mut Versions, v, u| {
+        let see = |versions: &mut Versions, v, u| {
             let status = status(v, u);
             versions.check(&super::super::Look { status: Some(&status), ..look() })
         };
