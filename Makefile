@@ -13,14 +13,14 @@ IN_ENV := . .deps/environment.sh && unset CARGO_BUILD_TARGET && export CARGO_BUI
 IN_TARGET := --target-dir '$(TARGET)'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup build train baselines test test-setup fuzz images verify fix clean distclean
+.PHONY: help setup build train baselines test test-setup fuzz faults soak images verify fix clean distclean
 
 help: ## Show this list
 	@echo 'Two commands:  make train   and   make test'
 	@echo
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1|\2/p' Makefile | awk -F'|' '{ printf "%-18s %s\n", $$1, $$2 }'
 	@echo
-	@echo '  ARGS="..."         options passed on by train and baselines, as in: make train ARGS="--updates 500 --scenario grid4x4"'
+	@echo '  ARGS="..."         options passed on by train, baselines, faults and soak, as in: make train ARGS="--updates 500 --scenario grid4x4"'
 	@echo '  CROSS_TORCH=cuda   set up libtorch with its CUDA libraries instead of the CPU ones'
 	@echo '  CROSS_CACHE=DIR    keep downloaded wheels in DIR, for other checkouts'
 
@@ -47,6 +47,12 @@ test-setup: setup ## The tests of the set-up and the documentation alone (quick)
 
 fuzz: setup ## Fuzz every reader, guided by coverage (TARGETS: which, RUNS: inputs of each; docs/fuzzing.md)
 	@$(IN_ENV) CARGO='$(CARGO)' CARGO_TARGET_DIR='$(TARGET)' scripts/fuzz.sh $(TARGETS)
+
+faults: build ## Break a cluster 200 times in a row, as root (docs/faults.md; ARGS="--faults 50 --seed 7")
+	@$(IN_ENV) $(CARGO) run $(IN_TARGET) --quiet --release -p cross-tests --example faults -- strike $(ARGS)
+
+soak: build ## Watch the learner's memory for half an hour, as root (ARGS="--minutes 60")
+	@$(IN_ENV) $(CARGO) run $(IN_TARGET) --quiet --release -p cross-tests --example faults -- soak $(ARGS)
 
 images: build ## The container images cross-learner and cross-actor, from this build (BUILDER_IMAGE, BASE_IMAGE: other bases)
 	@command -v docker >/dev/null || { echo 'error: docker was not found; docs/cluster.md tells what a cluster needs' >&2; exit 1; }

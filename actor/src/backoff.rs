@@ -7,11 +7,11 @@ use std::time::Duration;
 /// Pause after the first failure.
 const FIRST: Duration = Duration::from_millis(200);
 /// No pause is longer: after an outage of any length, actors are back within this time.
-const LONGEST: Duration = Duration::from_secs(10);
+const LONGEST: Duration = Duration::from_secs(5);
 
 /// Exponential back-off with jitter.
 ///
-/// Pauses double from 200 ms to 10 s, and each is shortened by a random part of up to one half, so that the actors of a
+/// Pauses double from 200 ms to 5 s, and each is shortened by a random part of up to one half, so that the actors of a
 /// cluster do not return to a restarted learner all at once.
 #[derive(Debug)]
 pub struct Backoff {

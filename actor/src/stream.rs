@@ -16,6 +16,9 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::{Status, Streaming};
 
+/// Filter that has every acknowledgement logged, `--log info,cross_actor::fragments=debug`: the other end of the learner's
+/// journal of fragments.
+const JOURNAL: &str = "cross_actor::fragments";
 /// Time for the learner to answer a hello.
 const HELLO_TIMEOUT: Duration = Duration::from_secs(30);
 /// Time for the last acknowledgements once the simulator has ended.
@@ -162,6 +165,14 @@ impl Stream<'_> {
         self.telemetry.unacked(self.uplink.unacked());
         self.contact.progress = true;
         let outcome = ack.outcome();
+        tracing::debug!(
+            target: JOURNAL,
+            session = self.session.epoch,
+            episode = ack.episode,
+            sequence = ack.sequence,
+            outcome = outcome.as_str_name(),
+            "fragment acknowledged"
+        );
         // One fragment that was sent twice is acknowledged twice, but lost at most once.
         if known {
             match outcome {

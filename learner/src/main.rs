@@ -138,8 +138,12 @@ async fn run(options: &Options) -> Result<(), Failure> {
     });
     if learner.ready().await {
         let (grpc, metrics) = addresses;
-        run.announce(&Listening { pid: std::process::id(), grpc, metrics, session_epoch, run_id })
-            .map_err(anyhow::Error::from)?;
+        // On a full disk there may be no room for it. Whoever has the address from elsewhere is served all the same.
+        if let Err(error) =
+            run.announce(&Listening { pid: std::process::id(), grpc, metrics, session_epoch, run_id })
+        {
+            tracing::error!("nobody can read there where the learner listens: {error}");
+        }
         tracing::info!(%grpc, %metrics, "serving");
     }
     let ending = tokio::select! {

@@ -120,11 +120,12 @@ impl MetricsLog {
     /// Any of reading or writing the file.
     pub fn open(run: &Path, updates: u64) -> io::Result<Self> {
         let path = run.join(FILE);
-        let text = match std::fs::read(&path) {
-            Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
+        let bytes = match std::fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
             Err(error) => return Err(error),
         };
+        let text = String::from_utf8_lossy(&bytes);
         #[derive(Deserialize)]
         struct Update {
             update: u64,
@@ -134,10 +135,15 @@ impl MetricsLog {
             .filter(|line| line.ends_with('\n'))
             .filter(|line| serde_json::from_str::<Update>(line).is_ok_and(|line| line.update <= updates))
             .collect();
-        if kept != text {
+        let at_the_end = bytes.starts_with(kept.as_bytes());
+        if !at_the_end {
             replace_file(&path, kept.as_bytes())?;
         }
         let file = OpenOptions::new().create(true).append(true).open(&path)?;
+        if at_the_end && kept.len() < bytes.len() {
+            // Needs no room, so that a run on a full disk can be resumed.
+            file.set_len(kept.len() as u64)?;
+        }
         Ok(Self { file })
     }
 
@@ -209,6 +215,36 @@ mod tests {
         assert_eq!(updates(run.path()), [1, 2, 3, 4]);
     }
 
+    #[test]
+    fn resuming_needs_no_room_on_the_disk() {
+        const RUN: &str = "CROSS_TEST_FULL_DISK";
+        if let Some(run) = std::env::var_os(RUN) {
+            assert!(MetricsLog::open(Path::new(&run), 3).unwrap().append(&line(4)).is_err());
+            return;
+        }
+        let run = tempfile::tempdir().unwrap();
+        let mut log = MetricsLog::open(run.path(), 0).unwrap();
+        for update in 1..=5 {
+            log.append(&line(update)).unwrap();
+        }
+        limited("resuming_needs_no_room_on_the_disk", 0, RUN, run.path());
+        assert_eq!(updates(run.path()), [1, 2, 3]);
+    }
+
+    /// Runs a test of this module again, as a process whose files may have so many blocks: more is refused, as on a full disk.
+    fn limited(name: &str, blocks: u32, variable: &str, run: &Path) {
+        let status = std::process::Command::new("/bin/sh")
+            .args(["-c", "trap '' XFSZ; ulimit -f $2; exec \"$0\" --exact \"$1\" --nocapture"])
+            .arg(std::env::current_exe().unwrap())
+            .arg(format!("metrics_log::tests::{name}"))
+            .arg(blocks.to_string())
+            .env(variable, run)
+            .stdout(std::process::Stdio::null())
+            .status()
+            .unwrap();
+        assert!(status.success(), "the child's words are above");
+    }
+
     /// The kernel takes half a line and refuses the rest, as a full disk does.
     #[test]
     fn a_line_that_does_not_fit_leaves_nothing_behind() {
@@ -219,16 +255,7 @@ mod tests {
             return;
         }
         let run = tempfile::tempdir().unwrap();
-        let name = "metrics_log::tests::a_line_that_does_not_fit_leaves_nothing_behind";
-        let status = std::process::Command::new("/bin/sh")
-            .args(["-c", "trap '' XFSZ; ulimit -f 3; exec \"$0\" --exact \"$1\" --nocapture"])
-            .arg(std::env::current_exe().unwrap())
-            .arg(name)
-            .env(RUN, run.path())
-            .stdout(std::process::Stdio::null())
-            .status()
-            .unwrap();
-        assert!(status.success(), "the child's words are above");
+        limited("a_line_that_does_not_fit_leaves_nothing_behind", 3, RUN, run.path());
         let done = updates(run.path());
         assert!(!done.is_empty() && done.len() < 1000, "{done:?}");
         assert!(std::fs::read(run.path().join(FILE)).unwrap().ends_with(b"\n"));

@@ -11,6 +11,7 @@
 
 pub mod binaries;
 pub mod certificates;
+pub mod faults;
 pub mod grpcurl;
 pub mod http;
 pub mod packages;

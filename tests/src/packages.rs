@@ -21,12 +21,18 @@ pub fn program(name: &str, package: &str) -> Option<PathBuf> {
 /// As [`program`].
 #[must_use]
 pub fn program_or(name: &str, remedy: &str) -> Option<PathBuf> {
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let found = std::env::split_paths(&path).map(|folder| folder.join(name)).find(|file| file.is_file());
+    let found = find(name);
     if found.is_none() {
         skipped(&format!("{name} was not found; {remedy}"));
     }
     found
+}
+
+/// Finds a program on PATH.
+#[must_use]
+pub fn find(name: &str) -> Option<PathBuf> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&path).map(|folder| folder.join(name)).find(|file| file.is_file())
 }
 
 /// Names a test that cannot run here, with the reason and the remedy.

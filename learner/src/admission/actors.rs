@@ -149,6 +149,14 @@ impl Admission {
         self.take_commands()
     }
 
+    /// This process itself stood still for so long: stopped, swapped out, or on a machine that slept. What actors said
+    /// meanwhile waits in its sockets, so the time does not count as their silence.
+    pub fn stood_still(&mut self, now: Duration, time: Duration) {
+        for actor in self.actors.values_mut() {
+            actor.last_heard = (actor.last_heard + time).min(now);
+        }
+    }
+
     /// Renews the lease of the stream's actor and names it; `None` for a stream that has been closed.
     pub(super) fn heard(&mut self, now: Duration, stream: StreamId) -> Option<String> {
         let id = self.streams.get(&stream)?.clone();

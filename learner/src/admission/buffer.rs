@@ -6,6 +6,7 @@
 //!             unacknowledged fragments         buffer limit              first
 //! ```
 
+use super::journal;
 use super::types::{Dropped, Lag, Outcome};
 use cross_sim::trajectory::{Fragment, FragmentId};
 use std::collections::{BTreeMap, VecDeque};
@@ -52,6 +53,7 @@ impl ScenarioBuffer {
     }
 
     pub(super) fn insert(&mut self, fragment: Fragment) {
+        journal::accepted(&fragment);
         self.inserted_steps += u64::from(fragment.steps);
         self.inserted.push_back(fragment);
     }
@@ -69,7 +71,13 @@ impl ScenarioBuffer {
     /// Forgets what a lost actor sent and was never told to be safe.
     pub(super) fn forget_waiting(&mut self, lost: impl Fn(&FragmentId) -> bool) {
         let before = self.waiting.len();
-        self.waiting.retain(|f| !lost(&f.id));
+        self.waiting.retain(|f| {
+            let kept = !lost(&f.id);
+            if !kept {
+                journal::dropped(f, Dropped::ActorLost);
+            }
+            kept
+        });
         let gone = (before - self.waiting.len()) as u64;
         if gone > 0 {
             *self.dropped.entry(Dropped::ActorLost).or_default() += gone;
@@ -85,6 +93,7 @@ impl ScenarioBuffer {
     pub(super) fn drop_overflow(&mut self, limit: u64) {
         while self.inserted_steps > limit && self.inserted.len() > 1 {
             if let Some(oldest) = self.inserted.pop_front() {
+                journal::dropped(&oldest, Dropped::Overflow);
                 self.inserted_steps -= u64::from(oldest.steps);
                 *self.dropped.entry(Dropped::Overflow).or_default() += 1;
             }
@@ -108,7 +117,13 @@ impl ScenarioBuffer {
 
     fn drop_inserted(&mut self, reason: Dropped, condition: impl Fn(&Fragment) -> bool) {
         let before = self.inserted.len();
-        self.inserted.retain(|f| !condition(f));
+        self.inserted.retain(|f| {
+            let kept = !condition(f);
+            if !kept {
+                journal::dropped(f, reason);
+            }
+            kept
+        });
         let gone = (before - self.inserted.len()) as u64;
         if gone > 0 {
             self.inserted_steps = self.inserted.iter().map(|f| u64::from(f.steps)).sum();

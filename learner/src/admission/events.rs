@@ -1,8 +1,9 @@
 //! What actors say on their streams, what the trainer reports, and what people ask for.
 
 use super::Admission;
+use super::journal;
 use super::types::{CloseReason, Command, Dropped, Outcome, StreamId};
-use cross_sim::trajectory::{Fragment, FragmentEnd};
+use cross_sim::trajectory::{Fragment, FragmentEnd, FragmentId};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -56,7 +57,7 @@ impl Admission {
         let (episode, sequence) = (fragment.id.episode, fragment.id.sequence);
         let scenario = self.scenario(&fragment.scenario);
         if fragment.id.session_epoch != self.settings.session_epoch {
-            return self.decline(actor, scenario, episode, sequence, Outcome::OldSession);
+            return self.decline(actor, scenario, &fragment.id, Outcome::OldSession);
         }
         if fragment.id.actor != actor {
             let problem = format!("is {:?}, but this stream is {actor:?}'s", fragment.id.actor);
@@ -71,10 +72,10 @@ impl Admission {
         let Some(open) = known.episode.as_ref().filter(|open| open.id == episode) else {
             let again = known.closed.contains(episode, sequence);
             let outcome = if again { Outcome::Duplicate } else { Outcome::UnknownEpisode };
-            return self.decline(actor, scenario, episode, sequence, outcome);
+            return self.decline(actor, scenario, &fragment.id, outcome);
         };
         if sequence < open.next_sequence {
-            return self.decline(actor, scenario, episode, sequence, Outcome::Duplicate);
+            return self.decline(actor, scenario, &fragment.id, Outcome::Duplicate);
         }
         if known.unacked() >= self.settings.unacked_fragments {
             let limit = self.settings.unacked_fragments;
@@ -142,23 +143,16 @@ impl Admission {
             self.progress.scenarios.entry(settings.name.clone()).or_default().episodes += 1;
         }
         if stale {
-            let (episode, sequence) = (fragment.id.episode, fragment.id.sequence);
-            return self.decline(actor, Some(scenario), episode, sequence, Outcome::Stale);
+            return self.decline(actor, Some(scenario), &fragment.id, Outcome::Stale);
         }
         self.buffers[scenario].wait(fragment);
     }
 
     /// Answers a fragment that is not kept.
-    fn decline(
-        &mut self,
-        actor: &str,
-        scenario: Option<usize>,
-        episode: u64,
-        sequence: u32,
-        outcome: Outcome,
-    ) {
+    fn decline(&mut self, actor: &str, scenario: Option<usize>, id: &FragmentId, outcome: Outcome) {
         self.count(scenario, outcome);
-        self.acknowledge(actor, episode, sequence, outcome);
+        journal::declined(id, outcome);
+        self.acknowledge(actor, id.episode, id.sequence, outcome);
     }
 
     /// Ends the stream over a field that is at fault.

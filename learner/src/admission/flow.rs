@@ -3,6 +3,7 @@
 use super::Admission;
 use super::buffer::lag;
 use super::episodes::{Episode, Finished, episode_seeds};
+use super::journal;
 use super::types::{Assignment, Command, Outcome, Round};
 
 impl Admission {
@@ -32,6 +33,7 @@ impl Admission {
         for scenario in 0..self.buffers.len() {
             for fragment in self.buffers[scenario].drop_stale(oldest) {
                 self.buffers[scenario].count(Outcome::Stale);
+                journal::declined(&fragment.id, Outcome::Stale);
                 self.acknowledge(
                     &fragment.id.actor,
                     fragment.id.episode,
@@ -119,6 +121,9 @@ impl Admission {
         }
         self.progress.updates += 1;
         self.in_training = Some(taken);
+        for fragment in &fragments {
+            journal::trained_on(fragment, self.progress.updates);
+        }
         let lag = lag(&fragments, self.policy_version);
         self.commands.push(Command::Update(Round { fragments, lag, progress: self.progress.clone() }));
         true

@@ -19,6 +19,7 @@ mod buffer;
 mod episodes;
 mod events;
 mod flow;
+mod journal;
 #[cfg(test)]
 mod properties;
 #[cfg(test)]

@@ -299,6 +299,17 @@ fn leases_end_after_silence_and_free_the_place_and_the_share() {
 }
 
 #[test]
+fn time_in_which_the_learner_stood_still_is_nobodys_silence() {
+    let mut admission = joined(settings(&["x"]));
+    admission.heartbeat(Duration::from_secs(20), StreamId(1));
+    // Stopped from 25 s to 85 s.
+    admission.stood_still(Duration::from_secs(85), Duration::from_secs(60));
+    assert_eq!(admission.tick(Duration::from_secs(85)), []);
+    assert_eq!(admission.tick(Duration::from_secs(110)), []);
+    assert_eq!(admission.tick(Duration::from_secs(111)).len(), 1, "silence counts again");
+}
+
+#[test]
 fn an_actor_that_leaves_in_order_frees_its_place_at_once() {
     let mut admission = joined(Settings { max_actors: 1, ..settings(&["x"]) });
     admission.left(StreamId(1));

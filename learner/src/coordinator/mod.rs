@@ -30,6 +30,9 @@ use tokio_util::sync::CancellationToken;
 /// Failed updates in a row after which training makes no sense.
 const MAX_FAILED_UPDATES: u32 = 3;
 
+/// How often leases are looked at.
+const TICK: Duration = Duration::from_secs(1);
+
 /// Where the process is in its life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Life {
@@ -115,9 +118,10 @@ impl Coordinator {
         mut reports: mpsc::Receiver<Report>,
         drain: CancellationToken,
     ) -> Ending {
-        let mut tick = tokio::time::interval(Duration::from_secs(1));
+        let mut tick = tokio::time::interval(TICK);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         self.show();
+        let mut looked = self.now();
         let ending = loop {
             let ended = tokio::select! {
                 Some(request) = requests.recv() => {
@@ -131,7 +135,14 @@ impl Coordinator {
                     )),
                 },
                 _ = tick.tick() => {
-                    let commands = self.admission.tick(self.now());
+                    let now = self.now();
+                    let late = now.saturating_sub(looked + TICK);
+                    if late > TICK {
+                        tracing::warn!(seconds = late.as_secs_f64(), "the learner stood still; leases are longer by that");
+                        self.admission.stood_still(now, late);
+                    }
+                    looked = now;
+                    let commands = self.admission.tick(now);
                     self.execute(commands);
                     self.show();
                     None
