@@ -7,8 +7,10 @@ mod common;
 
 use common::{Toy, id, ragged, round, tiny_config};
 use cross_config::{Config, Detection, Gfe};
-use cross_model::{ModelError, Policy, Trainer};
+use cross_model::{ModelError, Policy, Trainer, snapshot};
 use cross_sim::trajectory::FragmentEnd;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
 fn trainer(config: &Config) -> Trainer {
@@ -214,4 +216,22 @@ fn damaged_and_foreign_files_are_told_apart() {
     other.model.experts = 3;
     let mut other = Trainer::new(&other, vec![("toy".to_owned(), ragged())]).unwrap();
     assert!(matches!(other.restore(&files.model, &files.optimizer), Err(ModelError::Mismatch { .. })));
+}
+
+#[test]
+fn a_count_of_updates_that_has_no_successor_is_refused() {
+    let mut trainer = trainer(&tiny_config());
+    let files = trainer.save().unwrap();
+    let text = |key: &str, value: &str| (key.to_owned(), value.to_owned());
+    let rng = serde_json::to_string(&ChaCha8Rng::seed_from_u64(0)).unwrap();
+    let metadata = snapshot::Metadata::from([
+        text("format", snapshot::OPTIMIZER_FORMAT),
+        text("format_version", snapshot::FORMAT_VERSION),
+        text("updates", &u64::MAX.to_string()),
+        text("rng", &rng),
+        text("actor_t", "0"),
+        text("critic_t", "0"),
+    ]);
+    let optimizer = snapshot::write(std::iter::empty(), &metadata).unwrap();
+    assert!(matches!(trainer.restore(&files.model, &optimizer), Err(ModelError::Mismatch { .. })));
 }
