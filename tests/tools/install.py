@@ -63,8 +63,8 @@ def main() -> None:
     folder.parent.mkdir(parents=True, exist_ok=True)
     new = pathlib.Path(tempfile.mkdtemp(prefix=f"{folder.name}.new-", dir=folder.parent))
     try:
-        # The list is whole, so pip has nothing to look for.
-        pip("install", "--no-deps", "--target", str(new / "python"), "--requirement", str(REQUIREMENTS))
+        # The list is whole, so pip has nothing to look for; and nothing in it is built, which would run its authors' scripts.
+        pip("install", "--no-deps", "--only-binary", ":all:", "--target", str(new / "python"), "--requirement", str(REQUIREMENTS))
         if platform.machine() == "x86_64":
             kubectl(new / "bin")
         (new / "stamp").write_text(stamp)

@@ -176,7 +176,7 @@ impl Work for Back<'_> {
                 let (mut hidden, mut passed) = ([0.0f32; LANES], [0.0f32; LANES]);
                 for i in 0..LANES {
                     hidden[i] = relu(p[i] + s[i]);
-                    passed[i] = if hidden[i] > 0.0 { arrived * v[i] } else { 0.0 };
+                    passed[i] = relu_back(hidden[i], arrived * v[i]);
                 }
                 for i in 0..LANES {
                     to_p[i] += passed[i];
@@ -190,7 +190,7 @@ impl Work for Back<'_> {
             }
             for (i, ((p, s), v)) in p_rest.iter().zip(s_rest).zip(v_rest).enumerate() {
                 let hidden = relu(p + s);
-                let passed = if hidden > 0.0 { arrived * v } else { 0.0 };
+                let passed = relu_back(hidden, arrived * v);
                 to_p_rest[i] += passed;
                 to_s_rest[i] += passed;
                 to_v_rest[i] += arrived * hidden;
@@ -211,7 +211,14 @@ impl Numbers {
 
 #[inline(always)]
 fn relu(x: f32) -> f32 {
-    if x > 0.0 { x } else { 0.0 }
+    // What is no number stays none, so that the loss tells of it.
+    if x < 0.0 { 0.0 } else { x }
+}
+
+/// The gradient of [`relu`] at its result.
+#[inline(always)]
+fn relu_back(result: f32, arrived: f32) -> f32 {
+    if result <= 0.0 { 0.0 } else { arrived }
 }
 
 #[cfg(test)]
@@ -287,5 +294,13 @@ mod tests {
     fn again(leaves: &[Tensor; 4]) -> Parts {
         let [phases, samples, v, c] = leaves.each_ref().map(|leaf| leaf * 1.0);
         Parts { phases, samples, v, c }
+    }
+
+    #[test]
+    fn what_is_no_number_stays_none() {
+        let (parts, table, _) = case(32);
+        let broken = Parts { phases: parts.phases * f64::NAN, ..parts };
+        let own = scores(broken, table, &mut Tape::without_loops(&Tensor::from(0.0)));
+        assert!(floats(&own).iter().all(|score| score.is_nan()));
     }
 }

@@ -1,7 +1,7 @@
 //! The processor's vector instructions, and running code that is compiled for them.
 //!
-//! The release build is for any x86-64. The few loops that inference spends its time in are compiled three times, and the
-//! widest form that the processor has is chosen when a policy is loaded. Results of two forms differ by rounding; on one
+//! The release build is for any x86-64. The few loops that acting and training spend their time in are compiled three times,
+//! and the widest form that the processor has is chosen. Results of two forms differ by rounding; on one
 //! machine it is always the same form, so that a run repeats itself bit for bit.
 
 /// A set of instructions.

@@ -1,7 +1,7 @@
 //! Plain loops that the compiler turns into vector instructions, and linear layers made of them.
 //!
-//! Acting uses them for everything ([`inference`](crate::inference)); training for the recurrent unit, whose steps are too
-//! small for libtorch's operations.
+//! Acting uses them for everything ([`inference`](crate::inference)); training for the parts of a pass of which libtorch would
+//! make many small operations ([`net`](crate::net)).
 
 mod dense;
 mod isa;
