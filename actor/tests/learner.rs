@@ -23,6 +23,7 @@ async fn start_learner(config: &Config, run: &Path) -> (Learner, String) {
         run,
         run_id: "test".to_owned(),
         resumed: None,
+        mirror: None,
         security: Default::default(),
     };
     let grpc = TcpListener::bind("127.0.0.1:0").await.unwrap();
