@@ -24,6 +24,14 @@ pub(super) struct ScenarioBuffer {
     pub(super) dropped: BTreeMap<Dropped, u64>,
 }
 
+/// What a round took of a scenario, to be named and taken back should its update fail.
+#[derive(Debug)]
+pub(super) struct Taken {
+    pub(super) fragments: Vec<FragmentId>,
+    /// Agent-decisions.
+    pub(super) decisions: u64,
+}
+
 impl ScenarioBuffer {
     /// Steps that an update may take.
     pub(super) fn steps(&self) -> u64 {
@@ -74,7 +82,7 @@ impl ScenarioBuffer {
         self.waiting.retain(|f| {
             let kept = !lost(&f.id);
             if !kept {
-                journal::dropped(f, Dropped::ActorLost);
+                journal::dropped(&f.id, Dropped::ActorLost);
             }
             kept
         });
@@ -93,7 +101,7 @@ impl ScenarioBuffer {
     pub(super) fn drop_overflow(&mut self, limit: u64) {
         while self.inserted_steps > limit && self.inserted.len() > 1 {
             if let Some(oldest) = self.inserted.pop_front() {
-                journal::dropped(&oldest, Dropped::Overflow);
+                journal::dropped(&oldest.id, Dropped::Overflow);
                 self.inserted_steps -= u64::from(oldest.steps);
                 *self.dropped.entry(Dropped::Overflow).or_default() += 1;
             }
@@ -120,7 +128,7 @@ impl ScenarioBuffer {
         self.inserted.retain(|f| {
             let kept = !condition(f);
             if !kept {
-                journal::dropped(f, reason);
+                journal::dropped(&f.id, reason);
             }
             kept
         });

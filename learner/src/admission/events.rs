@@ -1,6 +1,7 @@
 //! What actors say on their streams, what the trainer reports, and what people ask for.
 
 use super::Admission;
+use super::buffer::Taken;
 use super::journal;
 use super::types::{CloseReason, Command, Dropped, Outcome, StreamId};
 use cross_sim::trajectory::{Fragment, FragmentEnd, FragmentId};
@@ -180,12 +181,16 @@ impl Admission {
     pub fn update_failed(&mut self) -> Vec<Command> {
         if let Some(taken) = self.in_training.take() {
             self.progress.updates -= 1;
-            for ((scenario, buffer), (fragments, decisions)) in
+            for ((scenario, buffer), taken) in
                 self.settings.scenarios.iter().zip(&mut self.buffers).zip(taken)
             {
+                let Taken { fragments, decisions } = taken;
                 self.progress.decisions -= decisions;
                 self.progress.scenarios.entry(scenario.name.clone()).or_default().decisions -= decisions;
-                *buffer.dropped.entry(Dropped::UpdateFailed).or_default() += fragments;
+                *buffer.dropped.entry(Dropped::UpdateFailed).or_default() += fragments.len() as u64;
+                for id in &fragments {
+                    journal::dropped(id, Dropped::UpdateFailed);
+                }
             }
         }
         self.go_on()

@@ -1,7 +1,7 @@
 //! What follows from an event: insert what has room, start an update, hand out episodes, keep everything moving.
 
 use super::Admission;
-use super::buffer::lag;
+use super::buffer::{Taken, lag};
 use super::episodes::{Episode, Finished, episode_seeds};
 use super::journal;
 use super::types::{Assignment, Command, Outcome, Round};
@@ -109,7 +109,8 @@ impl Admission {
             let before = fragments.len();
             let steps = self.buffers[i].take(self.settings.round_steps, &mut fragments);
             let decisions = steps * scenario.agents as u64;
-            taken.push(((fragments.len() - before) as u64, decisions));
+            let ids = fragments[before..].iter().map(|fragment| fragment.id.clone()).collect();
+            taken.push(Taken { fragments: ids, decisions });
             self.progress.decisions += decisions;
             let entry = self.progress.scenarios.entry(scenario.name.clone()).or_default();
             entry.decisions += decisions;

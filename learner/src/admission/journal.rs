@@ -2,7 +2,8 @@
 //!
 //! Counters say how many; to find out why one actor's data is missing, or to prove that none is trained on twice, one needs to
 //! know which. Off unless asked for with `--log info,cross_learner::fragments=debug`; then each fragment has a line when it
-//! is accepted or declined, and one when it leaves the buffer. An acknowledgement goes out after the line that it rests on.
+//! is accepted or declined, and one when it leaves the buffer. A round is written down when an update takes it; should the
+//! update fail, each of its fragments has one more line, dropped. An acknowledgement goes out after the line that it rests on.
 
 use super::types::{Dropped, Outcome};
 use cross_sim::trajectory::{Fragment, FragmentId};
@@ -41,12 +42,12 @@ pub(super) fn declined(id: &FragmentId, outcome: Outcome) {
     entry!(id, outcome = outcome.label(), "fragment declined");
 }
 
-/// It has left the buffer for the round that this update trains on.
+/// It has left the buffer for the round that this update trains on, unless it fails.
 pub(super) fn trained_on(fragment: &Fragment, update: u64) {
     entry!(fragment.id, update, "fragment trained on");
 }
 
 /// It was received and will not be trained on.
-pub(super) fn dropped(fragment: &Fragment, reason: Dropped) {
-    entry!(fragment.id, reason = reason.label(), "fragment dropped");
+pub(super) fn dropped(id: &FragmentId, reason: Dropped) {
+    entry!(id, reason = reason.label(), "fragment dropped");
 }

@@ -33,7 +33,7 @@ pub use types::{
 };
 
 use actors::Actor;
-use buffer::ScenarioBuffer;
+use buffer::{ScenarioBuffer, Taken};
 use episodes::Finished;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
@@ -56,8 +56,8 @@ pub struct Admission {
     deferred: BTreeSet<(String, u64, u32)>,
     /// The actor whose fragments are inserted although a buffer is full; see `flow.rs`.
     rescued: Option<String>,
-    /// What the round in training took of each scenario: fragments, decisions.
-    in_training: Option<Vec<(u64, u64)>>,
+    /// What the round in training took of each scenario.
+    in_training: Option<Vec<Taken>>,
     paused: bool,
     stopping: bool,
     /// What the present event asks for.

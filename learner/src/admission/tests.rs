@@ -392,3 +392,53 @@ fn a_failed_update_costs_its_round_and_nothing_more() {
     request(&mut admission, 1).unwrap();
     assert_eq!(round(&episode(&mut admission, 1, "a", "x", 1)).unwrap().progress.updates, 1);
 }
+
+/// What the journal says meanwhile: the message of each line and the fragment's place in its episode, in order.
+fn journal(act: impl FnOnce()) -> Vec<(String, u32)> {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let subscriber = tracing_subscriber::fmt()
+        .json()
+        .with_max_level(tracing::Level::DEBUG)
+        .with_writer(std::sync::Arc::new(file.reopen().unwrap()))
+        .finish();
+    // With a single subscriber, what another test's thread says first decides whether a line is ever of interest.
+    let _second = tracing::Dispatch::new(tracing_subscriber::fmt().with_writer(std::io::sink).finish());
+    tracing::subscriber::with_default(subscriber, act);
+    let text = std::fs::read_to_string(file.path()).unwrap();
+    text.lines()
+        .map(|line| {
+            let fields = serde_json::from_str::<serde_json::Value>(line).unwrap()["fields"].take();
+            let said = [&fields["message"], &fields["reason"]].map(|said| said.as_str().unwrap_or_default());
+            (
+                said.join(" ").trim_end().to_owned(),
+                serde_json::from_value(fields["sequence"].clone()).unwrap(),
+            )
+        })
+        .collect()
+}
+
+#[test]
+fn the_journal_names_what_a_failed_update_loses_and_not_what_a_good_one_trained_on() {
+    let lines = |wanted: &str, lines: &[(String, u32)]| -> Vec<u32> {
+        lines.iter().filter(|(said, _)| said == wanted).map(|&(_, sequence)| sequence).collect()
+    };
+    let mut admission = joined(settings(&["x"]));
+    let taken = journal(|| {
+        request(&mut admission, 1).unwrap();
+        assert!(round(&episode(&mut admission, 1, "a", "x", 0)).is_some());
+    });
+    assert_eq!(lines("fragment trained on", &taken), [0, 1, 2]);
+    let failed = journal(|| {
+        admission.update_failed();
+    });
+    assert_eq!(lines("fragment dropped update_failed", &failed), [0, 1, 2]);
+    let good = journal(|| {
+        request(&mut admission, 1).unwrap();
+        assert!(round(&episode(&mut admission, 1, "a", "x", 1)).is_some());
+        admission.updated(2);
+        // A report that comes twice must not take back what was good.
+        admission.update_failed();
+    });
+    assert_eq!(lines("fragment trained on", &good), [0, 1, 2]);
+    assert_eq!(lines("fragment dropped update_failed", &good), [0_u32; 0]);
+}

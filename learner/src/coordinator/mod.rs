@@ -220,6 +220,9 @@ impl Coordinator {
                     "the update failed: {error}; its data is dropped"
                 );
                 if self.failed_updates >= MAX_FAILED_UPDATES {
+                    // Counted and written down like the others, but no further round is taken.
+                    self.admission.stop();
+                    let _ = self.admission.update_failed();
                     return Some(Ending::Failed(format!(
                         "{MAX_FAILED_UPDATES} updates in a row failed: {error}"
                     )));
