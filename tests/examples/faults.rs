@@ -4,11 +4,14 @@
 use clap::{Args, Parser};
 use cross_tests::faults::campaign::Campaign;
 use cross_tests::faults::inject::Kind;
-use cross_tests::faults::soak::{MOST_GROWTH, Soak};
+use cross_tests::faults::soak::{LEAST_MINUTES, MOST_GROWTH, Soak};
 use cross_tests::faults::{tools, world};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
+
+/// A week, nearly.
+const MOST_MINUTES: f64 = 10_000.0;
 
 /// Breaks a cluster of real processes over and over, or leaves one alone and watches its memory. Needs root.
 #[derive(Debug, Parser)]
@@ -43,7 +46,7 @@ struct Strike {
 
 #[derive(Debug, Args)]
 struct SoakOptions {
-    /// How long
+    /// How long, 7 at least: the first five do not count
     #[arg(long, default_value_t = 30.0)]
     minutes: f64,
     /// Actors
@@ -87,6 +90,7 @@ fn strike(options: &Strike) -> ExitCode {
         only,
         warm_up: Duration::from_secs(15),
         rest: Duration::from_secs(1),
+        patience: 1,
     };
     match campaign.run(|line| println!("{line}")) {
         Ok(report) => {
@@ -106,6 +110,11 @@ fn strike(options: &Strike) -> ExitCode {
 }
 
 fn soak(options: &SoakOptions) -> ExitCode {
+    // A number that is none is refused too.
+    if !(LEAST_MINUTES..=MOST_MINUTES).contains(&options.minutes) {
+        eprintln!("faults: --minutes is from {LEAST_MINUTES} to {MOST_MINUTES}");
+        return ExitCode::from(2);
+    }
     let config = match &options.config {
         None => world::CONFIG.to_owned(),
         Some(path) => match std::fs::read_to_string(path) {
@@ -116,7 +125,7 @@ fn soak(options: &SoakOptions) -> ExitCode {
             }
         },
     };
-    let time = Duration::from_secs_f64(60.0 * options.minutes.clamp(0.0, 10_000.0));
+    let time = Duration::from_secs_f64(60.0 * options.minutes);
     match (Soak { actors: options.actors, time, config }).run(|line| println!("{line}")) {
         Ok(soaked) => {
             println!("\n{soaked}");

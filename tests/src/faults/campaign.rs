@@ -43,6 +43,9 @@ pub struct Campaign {
     pub warm_up: Duration,
     /// Time without a fault between two.
     pub rest: Duration,
+    /// How many times longer than usual the suite waits before it calls something broken: 1 where time is the subject, more
+    /// where the machine may have much else to do.
+    pub patience: u32,
 }
 
 impl Campaign {
@@ -55,7 +58,13 @@ impl Campaign {
             "{CONFIG}sumo_timeout_seconds = {HUNG_SUMO}\n[learner]\ncheckpoint_updates = {}\n{LEARNER}",
             self.checkpoint_updates
         );
-        let setting = Setting { actors: self.actors, updates: 1_000_000, config, instrumented: true };
+        let setting = Setting {
+            actors: self.actors,
+            updates: 1_000_000,
+            config,
+            instrumented: true,
+            patience: self.patience,
+        };
         let mut world = World::new(setting);
         let mut report = Report::new(self.seed, self.actors);
         let begun = Instant::now();

@@ -17,6 +17,7 @@ mod disk;
 pub mod inject;
 pub mod invariants;
 pub mod journal;
+mod launch;
 mod net;
 pub mod observe;
 pub mod plan;

@@ -12,6 +12,8 @@ pub const MOST_GROWTH: f64 = 2.0;
 const SAMPLE_EVERY: Duration = Duration::from_secs(5);
 /// Samples whose median stands for a moment.
 const MOMENT: usize = 12;
+/// Minutes below which there would be nothing to compare: the first five, and a moment at either end of the rest.
+pub const LEAST_MINUTES: f64 = 7.0;
 
 /// What to do.
 #[derive(Debug, Clone)]
@@ -59,13 +61,14 @@ impl Soak {
     /// Runs it; `tell` gets a line a minute.
     ///
     /// # Errors
-    /// An invariant that did not hold, with the ends of all logs.
+    /// An invariant that did not hold, or too little seen to say anything, with the ends of all logs.
     pub fn run(&self, mut tell: impl FnMut(&str)) -> Result<Soaked, Box<(Broken, String)>> {
         let setting = Setting {
             actors: self.actors,
             updates: 100_000_000,
             config: self.config.clone(),
             instrumented: false,
+            patience: 1,
         };
         let mut world = World::new(setting);
         let watched = self.watch(&mut world, &mut tell);
@@ -95,8 +98,7 @@ impl Soak {
             }
             samples.push(sample);
         }
-        let settled = samples.iter().position(|sample| sample.at >= SETTLED).unwrap_or(0);
-        Ok(Soaked { samples, settled })
+        Soaked::new(samples, self.time).map_err(|seen| Broken::new("the soak measures", seen))
     }
 }
 
@@ -133,6 +135,37 @@ fn line(sample: &Sample) -> String {
 }
 
 impl Soaked {
+    /// Only of what says something: samples enough, of a learner that was there, and that trained to the end.
+    fn new(samples: Vec<Sample>, time: Duration) -> Result<Self, String> {
+        let settled = samples.iter().position(|sample| sample.at >= SETTLED);
+        let settled = settled.ok_or("there is no sample after the first five minutes")?;
+        let (measured, due) = (&samples[settled..], time.as_secs() / SAMPLE_EVERY.as_secs());
+        // A learner may be too busy to answer now and then.
+        if 2 * measured.len() < 3 * MOMENT || 2 * samples.len() as u64 <= due {
+            return Err(format!(
+                "{} samples of {due}, {} of them after the first five minutes, are too few",
+                samples.len(),
+                measured.len()
+            ));
+        }
+        if let Some(empty) = measured.iter().find(|sample| sample.learner.resident == 0) {
+            return Err(format!("no learner was seen after {:.1} min", empty.at.as_secs_f64() / 60.0));
+        }
+        let (first, rest) = measured.split_at(measured.len() / 2);
+        for part in [first, rest] {
+            if let [from, .., to] = part
+                && from.updates >= to.updates
+            {
+                let minutes = [from, to].map(|sample| sample.at.as_secs_f64() / 60.0);
+                return Err(format!(
+                    "updates stood still at {} from {:.1} to {:.1} min",
+                    to.updates, minutes[0], minutes[1]
+                ));
+            }
+        }
+        Ok(Self { samples, settled })
+    }
+
     /// Median of the learner's resident memory over a minute from a sample on, KiB.
     fn resident(&self, from: usize) -> f64 {
         let mut sizes: Vec<u64> =
@@ -173,20 +206,48 @@ impl std::fmt::Display for Soaked {
 mod tests {
     use super::*;
 
-    #[test]
-    fn growth_is_that_after_the_first_minutes() {
-        let sample = |seconds: u64, resident| Sample {
+    fn sample(seconds: u64, resident: u64) -> Sample {
+        Sample {
             at: Duration::from_secs(seconds),
             learner: Sizes { resident, ..Sizes::default() },
             actors: Sizes::default(),
             sumos: Sizes::default(),
-            updates: 0,
+            updates: seconds,
             decisions: 0,
-        };
-        let samples: Vec<Sample> =
-            (0..240).map(|n| sample(5 * n, if n < 60 { 1000 + n } else { 2000 + n })).collect();
-        let soaked = Soaked { settled: 60, samples };
+        }
+    }
+
+    fn soaked(samples: impl IntoIterator<Item = Sample>) -> Result<Soaked, String> {
+        Soaked::new(samples.into_iter().collect(), Duration::from_secs(20 * 60))
+    }
+
+    #[test]
+    fn growth_is_that_after_the_first_minutes() {
+        let samples = (0..240).map(|n| sample(5 * n, if n < 60 { 1000 + n } else { 2000 + n }));
+        let growth = soaked(samples).unwrap().growth();
         // 2066 in the minute after the first five, 2234 in the last.
-        assert!((soaked.growth() - 8.13).abs() < 0.05, "{}", soaked.growth());
+        assert!((growth - 8.13).abs() < 0.05, "{growth}");
+    }
+
+    #[test]
+    fn a_soak_that_has_seen_too_little_is_none() {
+        let problem = |samples: Vec<Sample>| soaked(samples).unwrap_err();
+        assert!(problem(Vec::new()).contains("no sample"));
+        assert!(problem((0..59).map(|n| sample(5 * n, 1)).collect()).contains("no sample"));
+        assert!(problem((0..77).map(|n| sample(5 * n, 1)).collect()).contains("too few"));
+        assert!(problem((0..80).map(|n| sample(15 * n, 1)).collect()).contains("too few"));
+        assert!(problem((0..240).map(|n| sample(5 * n, 240 - n - 1)).collect()).contains("no learner"));
+    }
+
+    #[test]
+    fn a_soak_in_which_nothing_is_learned_is_none() {
+        for (from, to) in [(300, 750), (750, 1200)] {
+            let still = (0..240).map(|n| {
+                let sample = sample(5 * n, 1);
+                let updates = if (from..to).contains(&sample.updates) { from } else { sample.updates };
+                Sample { updates, ..sample }
+            });
+            assert!(soaked(still).unwrap_err().contains("stood still"), "{from}");
+        }
     }
 }

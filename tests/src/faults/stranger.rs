@@ -65,20 +65,23 @@ pub(super) async fn other_version(address: &str) -> Result<(), String> {
 
 /// Speaks without a lease and under a session that is over, then joins and sends fragments twice, again after a reconnection,
 /// out of order, of another session and of an episode that nobody gave it.
-pub(super) async fn misbehave(address: &str) -> Result<(), String> {
+pub(super) async fn misbehave(address: &str, patience: u32) -> Result<(), String> {
+    let patience = PATIENCE * patience;
     let mut client = client(address).await?;
     let joined = client.join(join_request(cross_proto::PROTOCOL_VERSION)).await;
     let joined = joined.map_err(|status| format!("cannot join: {status}"))?.into_inner();
 
     let old = joined.session_epoch - 1;
-    let refused =
-        Talk::open(&mut client, NAME, old).await.err().ok_or("a session that is over was served")?;
+    let refused = Talk::open(&mut client, NAME, old, patience)
+        .await
+        .err()
+        .ok_or("a session that is over was served")?;
     expect("an old session", reason(&refused).as_str(), "OLD_SESSION")?;
-    let refused = Talk::open(&mut client, "nobody", joined.session_epoch).await;
+    let refused = Talk::open(&mut client, "nobody", joined.session_epoch, patience).await;
     let refused = refused.err().ok_or("an actor without a lease was served")?;
     expect("no lease", reason(&refused).as_str(), "NOT_JOINED")?;
 
-    let mut talk = Talk::start(&mut client, &joined).await?;
+    let mut talk = Talk::start(&mut client, &joined, patience).await?;
     talk.send(Message::EpisodeRequest(EpisodeRequest {})).await;
     let (episode, scenario) = match talk.answer().await? {
         Answer::Assignment(assignment) => (assignment.episode, assignment.scenario),
@@ -99,7 +102,7 @@ pub(super) async fn misbehave(address: &str) -> Result<(), String> {
 
     // The connection goes, the lease stays; what was sent before is sent again.
     drop(talk);
-    let mut talk = Talk::start(&mut client, &joined).await?;
+    let mut talk = Talk::start(&mut client, &joined, patience).await?;
     expect("a replay", talk.fragment(first).await?, Outcome::Duplicate)?;
     match talk.fragment(fragment(episode, 2)?).await {
         Ok(outcome) => return Err(format!("a fragment out of order was {outcome:?}")),
@@ -108,7 +111,7 @@ pub(super) async fn misbehave(address: &str) -> Result<(), String> {
     }
 
     // It leaves as it should, so that nothing waits for its lease to end.
-    let talk = Talk::start(&mut client, &joined).await?;
+    let talk = Talk::start(&mut client, &joined, patience).await?;
     talk.send(Message::EpisodeAborted(EpisodeAborted { episode, reason: "SHUTDOWN".to_owned() })).await;
     talk.close().await
 }
@@ -117,20 +120,30 @@ pub(super) async fn misbehave(address: &str) -> Result<(), String> {
 struct Talk {
     requests: mpsc::Sender<StreamFragmentsRequest>,
     answers: Streaming<StreamFragmentsResponse>,
+    patience: Duration,
 }
 
 impl Talk {
-    async fn start(client: &mut LearnerClient<Channel>, joined: &JoinResponse) -> Result<Self, String> {
-        let opened = Self::open(client, NAME, joined.session_epoch).await;
+    async fn start(
+        client: &mut LearnerClient<Channel>,
+        joined: &JoinResponse,
+        patience: Duration,
+    ) -> Result<Self, String> {
+        let opened = Self::open(client, NAME, joined.session_epoch, patience).await;
         opened.map_err(|status| format!("the stream was refused: {status}"))
     }
 
-    async fn open(client: &mut LearnerClient<Channel>, actor: &str, session: u64) -> Result<Self, Status> {
+    async fn open(
+        client: &mut LearnerClient<Channel>,
+        actor: &str,
+        session: u64,
+        patience: Duration,
+    ) -> Result<Self, Status> {
         let (requests, receiver) = mpsc::channel(8);
         let hello = StreamHello { actor_id: actor.to_owned(), session_epoch: session };
         let _ = requests.send(StreamFragmentsRequest { message: Some(Message::Hello(hello)) }).await;
         let answers = client.stream_fragments(ReceiverStream::new(receiver)).await?.into_inner();
-        Ok(Self { requests, answers })
+        Ok(Self { requests, answers, patience })
     }
 
     async fn send(&self, message: Message) {
@@ -139,7 +152,7 @@ impl Talk {
     }
 
     async fn answer(&mut self) -> Result<Answer, String> {
-        let answer = tokio::time::timeout(PATIENCE, self.answers.message()).await;
+        let answer = tokio::time::timeout(self.patience, self.answers.message()).await;
         let answer = answer.map_err(|_| "no answer came".to_owned())?;
         let answer = answer.map_err(|status| status.message().to_owned())?;
         answer.and_then(|answer| answer.message).ok_or_else(|| "the stream ended".to_owned())
@@ -154,10 +167,10 @@ impl Talk {
     }
 
     async fn close(self) -> Result<(), String> {
-        let Self { requests, mut answers } = self;
+        let Self { requests, mut answers, patience } = self;
         drop(requests);
         let ended =
-            tokio::time::timeout(PATIENCE, async { while let Ok(Some(_)) = answers.message().await {} });
+            tokio::time::timeout(patience, async { while let Ok(Some(_)) = answers.message().await {} });
         ended.await.map_err(|_| "the learner does not end a stream that its actor ended".to_owned())
     }
 }

@@ -41,6 +41,14 @@ pub(super) struct Exit {
     pub struck: bool,
 }
 
+impl Exit {
+    /// Whether nobody asked it to end. At the end of a run (`ending`) training is complete, and all end well by themselves.
+    pub(super) fn by_itself(&self, ending: bool) -> bool {
+        let ends_well = ending && self.code == Some(0);
+        !self.struck && !ends_well
+    }
+}
+
 impl std::fmt::Display for Exit {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{} ended with {}", self.name, self.how)
@@ -117,5 +125,20 @@ impl Drop for Service {
             let _ = child.kill();
             let _ = child.wait();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_good_end_that_nobody_asked_for_is_one_too_many() {
+        let exit = |code, struck| Exit { name: "actor-0".to_owned(), code, how: String::new(), struck };
+        assert!(exit(Some(0), false).by_itself(false));
+        assert!(!exit(Some(0), false).by_itself(true));
+        assert!(exit(Some(1), false).by_itself(true));
+        assert!(exit(None, false).by_itself(true));
+        assert!(!exit(None, true).by_itself(false));
     }
 }

@@ -6,22 +6,15 @@ use super::clock::Clock;
 use super::disk::Disk;
 use super::invariants::{Invariants, Look};
 use super::journal::{Entry, Journal};
+use super::launch::{Launch, PORT, RELAY_PORT, log};
 use super::net::Net;
 use super::observe::{self, Seen, Watch};
 use super::recovery::{Flow, Over};
 use super::relay::Relay;
 use super::supervisor::{Exit, Service};
-use crate::binaries::binary;
 use cross_proto::v1::TrainingStatus;
-use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
-
-/// Port of the learner, in its own namespace.
-const PORT: u16 = 7400;
-/// Port of the relay through which the last actor speaks.
-const RELAY_PORT: u16 = 7500;
 
 /// Between two looks.
 const STEP: Duration = Duration::from_millis(100);
@@ -60,6 +53,8 @@ pub struct Setting {
     pub config: String,
     /// Whether processes write their journals and go by clocks that can be set; without, they run as a user runs them.
     pub instrumented: bool,
+    /// How many times longer than usual things may take before they count as broken.
+    pub patience: u32,
 }
 
 /// The cluster; ended, with all that belongs to it, when dropped.
@@ -79,6 +74,8 @@ pub struct World {
     pub(super) exits: Vec<Exit>,
     /// Whether a process may end by itself at the moment.
     pub(super) lenient: bool,
+    /// Whether there is a target that the run reaches, and everybody ends.
+    ending: bool,
     /// Complaints of the learner since somebody last took them.
     pub(super) complaints: Vec<String>,
     pub(super) flow: Flow,
@@ -133,6 +130,7 @@ impl World {
             watch: Watch::new(&format!("127.0.0.1:{PORT}")),
             exits: Vec::new(),
             lenient: false,
+            ending: false,
             complaints: Vec::new(),
             flow: Flow::default(),
             status: None,
@@ -199,8 +197,14 @@ impl World {
         self.twin = Some(twin);
     }
 
-    /// Has the next learner train up to this update.
+    /// How many times longer than usual things may take here.
+    pub(super) fn patience(&self) -> u32 {
+        self.setting.patience
+    }
+
+    /// Has the next learner train up to this update, at which all processes end.
     pub(super) fn train_up_to(&mut self, updates: u64) {
+        self.ending = true;
         self.setting.updates = updates;
         write_config(self.directory.path(), &self.setting.config, updates);
     }
@@ -241,6 +245,7 @@ impl World {
             actors: &actors,
             learner: self.learner.pid(),
             run: looked.then_some(run.as_path()),
+            patience: self.setting.patience,
         };
         self.invariants.check(&look)?;
         if ended {
@@ -248,9 +253,7 @@ impl World {
             self.invariants.learner_ended();
             self.status = None;
         }
-        if let Some(exit) =
-            self.exits.iter().find(|exit| !exit.struck && !self.lenient && exit.code != Some(0))
-        {
+        if let Some(exit) = self.exits.iter().find(|exit| !self.lenient && exit.by_itself(self.ending)) {
             return Err(Broken::new("no process ends by itself", exit.to_string()));
         }
         std::thread::sleep(STEP.saturating_sub(now.elapsed()));
@@ -278,7 +281,7 @@ impl World {
         Ok(())
     }
 
-    /// Goes on until there is something to return.
+    /// Goes on until there is something to return, for so many seconds and as many times longer as the setting's patience.
     ///
     /// # Errors
     /// As [`World::step`], or if nothing came in time.
@@ -288,6 +291,7 @@ impl World {
         seconds: u64,
         mut look: impl FnMut(&mut Self) -> Option<T>,
     ) -> Result<T, Broken> {
+        let seconds = seconds * u64::from(self.setting.patience);
         let end = Instant::now() + Duration::from_secs(seconds);
         loop {
             if let Some(found) = look(self) {
@@ -321,7 +325,7 @@ impl World {
     /// # Errors
     /// As [`World::step`], or if it never came back.
     pub(super) fn recover(&mut self, over: &Over, seconds: u64) -> Result<Duration, Broken> {
-        let end = Instant::now() + Duration::from_secs(seconds);
+        let end = Instant::now() + Duration::from_secs(seconds) * self.setting.patience;
         loop {
             self.step()?;
             let now = Instant::now();
@@ -356,72 +360,6 @@ pub(super) fn actor_name(n: usize) -> String {
     format!("actor-{n}")
 }
 
-fn log(root: &Path, name: &str) -> PathBuf {
-    root.join("logs").join(format!("{name}.log"))
-}
-
 fn write_config(root: &Path, config: &str, updates: u64) {
     std::fs::write(root.join("config.toml"), format!("updates = {updates}\n{config}")).unwrap();
-}
-
-/// How processes are started.
-#[derive(Clone)]
-struct Launch {
-    root: PathBuf,
-    marker: String,
-    instrumented: bool,
-}
-
-impl Launch {
-    fn learner(&self, space: String, clock: Clock) -> impl FnMut() -> Command + 'static {
-        let Self { root, marker, instrumented } = self.clone();
-        move || {
-            let mut command = enter(&space, "cross-learner");
-            command.arg("--config").arg(root.join("config.toml")).arg("--run").arg(root.join("disk/run"));
-            command.arg("--resume").args(["--insecure", "--listen", &format!("0.0.0.0:{PORT}")]);
-            common(&mut command, &root, &marker, "learner");
-            if instrumented {
-                command.args(["--log-format", "json", "--log", "info,cross_learner::fragments=debug"]);
-                clock.apply(&mut command);
-            }
-            command
-        }
-    }
-
-    fn actor(
-        &self,
-        net: &Net,
-        n: usize,
-        port: u16,
-        name: &str,
-        clock: Clock,
-    ) -> impl FnMut() -> Command + 'static {
-        let Self { root, marker, instrumented } = self.clone();
-        let (space, name) = (net.actor(n), name.to_owned());
-        move || {
-            let mut command = enter(&space, "cross-actor");
-            let address = Net::learner_address(n);
-            command.args(["--learner", &format!("http://{address}:{port}"), "--actor-id", &actor_name(n)]);
-            common(&mut command, &root, &marker, &name);
-            if instrumented {
-                command.args(["--log-format", "json", "--log", "info,cross_actor::fragments=debug"]);
-                clock.apply(&mut command);
-            }
-            command
-        }
-    }
-}
-
-/// A program in a namespace, which the kernel ends with whoever started it: a suite that is killed leaves nothing.
-fn enter(space: &str, program: &str) -> Command {
-    let mut command = Command::new("nsenter");
-    command.arg(format!("--net=/run/netns/{space}"));
-    command.args(["setpriv", "--pdeathsig", "KILL"]).arg(binary(program));
-    command
-}
-
-fn common(command: &mut Command, root: &Path, marker: &str, name: &str) {
-    let log = File::options().create(true).append(true).open(log(root, name)).unwrap();
-    command.env("CROSS_TEST_RUN", marker).env("TMPDIR", root.join("tmp"));
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
 }

@@ -49,7 +49,7 @@ pub(super) fn torn(world: &mut World, fault: &Fault) -> Result<Over, Broken> {
     let id = newest(&run).ok_or_else(|| missed("there is no checkpoint to tear"))?;
     let newest = folder.join(&id);
     if fault.draw % 6 < 4 {
-        world.invariants.damaged(&id);
+        world.invariants.damaged(&newest);
     }
     match fault.draw % 6 {
         0 => cut_short(&newest.join("model.safetensors")),

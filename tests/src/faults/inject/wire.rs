@@ -49,7 +49,7 @@ pub(super) fn other_version(world: &mut World) -> Result<Over, Broken> {
 }
 
 pub(super) fn stranger(world: &mut World) -> Result<Over, Broken> {
-    let answered = world.watch.block_on(stranger::misbehave(&World::address()));
+    let answered = world.watch.block_on(stranger::misbehave(&World::address(), world.patience()));
     answered.map_err(|problem| Broken::new("broken rules are answered by name", problem))?;
     Ok(over_for_nobody())
 }

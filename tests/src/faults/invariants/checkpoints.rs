@@ -4,16 +4,30 @@
 use super::Look;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 pub(super) const NAME: &str = "checkpoints loadable";
 
 #[derive(Debug, Default)]
 pub(super) struct Checkpoints {
-    /// Written once and never again, so that once is often enough to look.
-    whole: BTreeSet<String>,
-    damaged: BTreeSet<String>,
+    /// Found whole, and by which description: a learner that resumes from an earlier one writes the same ids again.
+    whole: BTreeMap<String, Writing>,
+    /// Damaged by the suite: the folder's inode, since a whole one may take its place under the same id.
+    damaged: BTreeMap<String, Option<u64>>,
+}
+
+/// Inode and time of a `metadata.json`, which is written once.
+type Writing = (u64, i64, i64);
+
+fn writing(checkpoint: &Path) -> Option<Writing> {
+    let metadata = std::fs::metadata(checkpoint.join("metadata.json")).ok()?;
+    Some((metadata.ino(), metadata.mtime(), metadata.mtime_nsec()))
+}
+
+fn inode(folder: &Path) -> Option<u64> {
+    Some(std::fs::metadata(folder).ok()?.ino())
 }
 
 impl Checkpoints {
@@ -32,15 +46,18 @@ impl Checkpoints {
                 present.insert(name);
             }
         }
-        self.whole.retain(|id| present.contains(id));
-        self.damaged.retain(|id| present.contains(id));
-        for id in present.iter().filter(|id| !self.damaged.contains(*id)) {
-            if self.whole.contains(id) {
+        self.whole.retain(|id, _| present.contains(id));
+        self.damaged.retain(|id, was| present.contains(id) && inode(&folder.join(id)) == *was);
+        for id in present.iter().filter(|id| !self.damaged.contains_key(*id)) {
+            // Before it is verified: should it be replaced meanwhile, it is looked at again.
+            let now = writing(&folder.join(id));
+            if now.is_some() && self.whole.get(id) == now.as_ref() {
                 continue;
             }
+            self.whole.remove(id);
             match verify(&folder.join(id)) {
                 Ok(()) => {
-                    self.whole.insert(id.clone());
+                    self.whole.extend(now.map(|now| (id.clone(), now)));
                 }
                 // It was old and is being removed: renamed first, so it is not there any more.
                 Err(_) if !folder.join(id).exists() => {}
@@ -48,7 +65,7 @@ impl Checkpoints {
             }
         }
         let latest = latest.trim();
-        if !latest.is_empty() && !self.damaged.contains(latest) && !folder.join(latest).exists() {
+        if !latest.is_empty() && !self.damaged.contains_key(latest) && !folder.join(latest).exists() {
             let again = std::fs::read_to_string(folder.join("latest")).unwrap_or_default();
             if again.trim() == latest {
                 return Err(format!("latest names {latest}, which is not there"));
@@ -59,13 +76,13 @@ impl Checkpoints {
 
     /// Updates of the newest whole one; 0 without any.
     pub(super) fn newest(&self) -> u64 {
-        let whole = self.whole.iter().filter(|id| !self.damaged.contains(*id));
-        whole.filter_map(|id| id.parse().ok()).max().unwrap_or(0)
+        self.whole.keys().filter_map(|id| id.parse().ok()).max().unwrap_or(0)
     }
 
-    pub(super) fn damaged(&mut self, id: &str) {
-        self.whole.remove(id);
-        self.damaged.insert(id.to_owned());
+    pub(super) fn damaged(&mut self, checkpoint: &Path) {
+        let id = checkpoint.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        self.whole.remove(&id);
+        self.damaged.insert(id, inode(checkpoint));
     }
 }
 
@@ -112,10 +129,30 @@ mod tests {
         assert_eq!(checkpoints.newest(), 1);
         write(run.path(), "000002", "wei");
         assert!(checkpoints.look(run.path()).unwrap_err().contains("000002"));
-        checkpoints.damaged("000002");
+        checkpoints.damaged(&run.path().join("checkpoints/000002"));
         assert_eq!(checkpoints.look(run.path()), Ok(()));
         assert_eq!(checkpoints.newest(), 1);
         std::fs::write(run.path().join("checkpoints/latest"), "000003\n").unwrap();
         assert!(checkpoints.look(run.path()).unwrap_err().contains("000003"));
+    }
+
+    #[test]
+    fn an_id_that_is_written_again_is_looked_at_again() {
+        let run = tempfile::tempdir().unwrap();
+        let folder = run.path().join("checkpoints/000001");
+        let mut checkpoints = Checkpoints::default();
+        write(run.path(), "000001", "weights");
+        assert_eq!(checkpoints.look(run.path()), Ok(()));
+        // Moved and not removed, or the other might get the same inodes.
+        std::fs::rename(&folder, run.path().join("aside")).unwrap();
+        write(run.path(), "000001", "wei");
+        assert!(checkpoints.look(run.path()).unwrap_err().contains("000001"));
+        assert_eq!(checkpoints.newest(), 0);
+        // The suite's own damage is not an excuse for what takes its place.
+        checkpoints.damaged(&folder);
+        assert_eq!(checkpoints.look(run.path()), Ok(()));
+        std::fs::rename(&folder, run.path().join("another")).unwrap();
+        write(run.path(), "000001", "wei");
+        assert!(checkpoints.look(run.path()).unwrap_err().contains("000001"));
     }
 }

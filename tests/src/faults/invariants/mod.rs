@@ -34,6 +34,8 @@ pub struct Look<'a> {
     pub learner: Option<i32>,
     /// The run directory, if its checkpoints are to be looked at.
     pub run: Option<&'a Path>,
+    /// How many times longer than usual things may take.
+    pub patience: u32,
 }
 
 /// All invariants with what each has to remember.
@@ -81,8 +83,8 @@ impl Invariants {
     }
 
     /// The suite itself has damaged this checkpoint.
-    pub fn damaged(&mut self, id: &str) {
-        self.checkpoints.damaged(id);
+    pub fn damaged(&mut self, checkpoint: &Path) {
+        self.checkpoints.damaged(checkpoint);
         self.versions.learner_ended(self.checkpoints.newest());
     }
 
@@ -123,6 +125,7 @@ mod tests {
             actors: &[],
             learner: None,
             run: None,
+            patience: 1,
         }
     }
 

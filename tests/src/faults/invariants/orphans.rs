@@ -28,7 +28,7 @@ impl Orphans {
         self.since.retain(|pid, _| pids.contains(pid));
         for (pid, why) in strays {
             let since = self.since.entry(pid).or_insert(look.now);
-            if look.now - *since > GONE_WITHIN {
+            if look.now - *since > GONE_WITHIN * look.patience {
                 return Err(format!("process {pid} {why}"));
             }
         }

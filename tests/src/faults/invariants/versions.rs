@@ -1,7 +1,10 @@
 //! The policy version grows: within a learner's life it never falls, and a new life begins no earlier than at the newest
-//! checkpoint that the one before left whole.
+//! checkpoint that the one before left whole. Nor do actors fall back: within a session, what the learner accepts of one is
+//! never of an older version than what it accepted before.
 
 use super::Look;
+use crate::faults::journal::Entry;
+use std::collections::HashMap;
 
 pub(super) const NAME: &str = "version monotone";
 
@@ -12,10 +15,20 @@ pub(super) struct Versions {
     /// Least number of updates at which the next life may begin.
     least: u64,
     begun: bool,
+    /// Newest version of the data accepted of each actor, and under which session.
+    accepted: HashMap<String, (u64, u64)>,
 }
 
 impl Versions {
     pub(super) fn check(&mut self, look: &Look<'_>) -> Result<(), String> {
+        for entry in look.entries {
+            let Entry::Accepted { id, policy_version, .. } = entry else { continue };
+            let (session, newest) = self.accepted.entry(id.actor.clone()).or_default();
+            if *session == id.session && policy_version < newest {
+                return Err(format!("{id} is of version {policy_version}, and one of {newest} came before"));
+            }
+            (*session, *newest) = (id.session, *policy_version);
+        }
         let Some(status) = look.status else { return Ok(()) };
         let now = (status.policy_version, status.updates);
         if !self.begun {
@@ -48,11 +61,27 @@ impl Versions {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::faults::invariants::tests::look;
+    use crate::faults::invariants::tests::{id, look};
+    use crate::faults::journal::Id;
     use cross_proto::v1::TrainingStatus;
 
     fn status(policy_version: u64, updates: u64) -> TrainingStatus {
         TrainingStatus { policy_version, updates, ..TrainingStatus::default() }
+    }
+
+    #[test]
+    fn an_actor_may_fall_back_only_under_another_session() {
+        let mut versions = Versions::default();
+        let mut see = |actor: &str, session, policy_version| {
+            let id = Id { actor: actor.to_owned(), session, ..id(1) };
+            let entries = [Entry::Accepted { id, decisions: 1, policy_version }];
+            versions.check(&super::super::Look { entries: &entries, ..look() })
+        };
+        assert!(see("a", 1, 5).is_ok());
+        assert!(see("a", 1, 5).is_ok());
+        assert!(see("b", 1, 4).is_ok());
+        assert!(see("a", 2, 3).is_ok());
+        assert!(see("a", 2, 2).unwrap_err().contains("one of 3 came before"));
     }
 
     #[test]
