@@ -83,7 +83,15 @@ async fn run(options: &Options) -> Result<(), Failure> {
     let placement = Placement::resolve(&config.learner).map_err(input)?;
     let scenarios = load_scenarios(&config, options.scenarios.as_deref()).map_err(input)?;
     let run = RunDir::open(&options.run).map_err(input)?;
-    let found = find(options, &run, &config).await?;
+    // Before the store is asked, which may take minutes: a stop must not wait for it, nor end the process by the signal itself.
+    let mut signals = Signals::new()?;
+    let found = tokio::select! {
+        found = find(options, &run, &config) => found?,
+        () = signals.next() => {
+            tracing::info!("stopped before anything began; what was being fetched is fetched again at the next start");
+            return Ok(());
+        }
+    };
     let (resumed, mirror, owner) = (found.resumed, found.mirror, found.owner);
     if options.resume && resumed.is_none() {
         tracing::warn!(run = %run.path().display(), "there is no checkpoint to resume; starting at the beginning");
@@ -91,7 +99,6 @@ async fn run(options: &Options) -> Result<(), Failure> {
     let known = resumed.as_ref().map(|resumed| resumed.checkpoint.metadata.run_id.as_str());
     let run_id = run.identity(known.or(owner.as_deref())).map_err(input)?;
 
-    let mut signals = Signals::new()?;
     let grpc = bind("--listen", options.listen).await?;
     let metrics = bind("--metrics-listen", options.metrics_listen).await?;
     let addresses = (address(&grpc)?, address(&metrics)?);

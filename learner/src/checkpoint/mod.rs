@@ -18,12 +18,14 @@ pub mod reader;
 pub mod remote;
 mod store;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use error::CheckpointError;
 pub use metadata::{FORMAT, FORMAT_VERSION, FileInfo, Metadata, Versions, rfc3339};
 pub use reader::{Checkpoint, Entry, Resumed, Tensor};
 pub use store::Store;
+
+use std::path::PathBuf;
 
 /// Folder of the checkpoints in a run directory.
 pub const FOLDER: &str = "checkpoints";
@@ -47,4 +49,17 @@ pub fn id(updates: u64) -> String {
 pub fn updates_of(id: &str) -> Option<u64> {
     let digits = id.len() >= 6 && id.bytes().all(|b| b.is_ascii_digit());
     digits.then(|| id.parse().ok()).flatten()
+}
+
+/// Runs disk work where it may block. Work that panics, or is cancelled because the process ends, is an error like any other,
+/// so that it is counted and said where the others are; `path` is what the work is about.
+pub(crate) async fn blocking<T: Send + 'static>(
+    path: PathBuf,
+    work: impl FnOnce() -> Result<T, CheckpointError> + Send + 'static,
+) -> Result<T, CheckpointError> {
+    tokio::task::spawn_blocking(work).await.unwrap_or_else(|_| {
+        // The panic's own words are in the log already, from where it happened.
+        let source = std::io::Error::other("the work on it was broken off; the log says where");
+        Err(CheckpointError::Io { action: "use", path, source })
+    })
 }

@@ -32,6 +32,18 @@ pub struct Checkpoint {
     pub files: TrainerFiles,
 }
 
+impl Checkpoint {
+    /// The same, if both its files are well-formed safetensors files besides matching their hashes.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Foreign`] names the file at fault.
+    pub fn well_formed(self) -> Result<Self, CheckpointError> {
+        tensors_of(&self.files.model, &self.path.join(MODEL_FILE))?;
+        tensors_of(&self.files.optimizer, &self.path.join(OPTIMIZER_FILE))?;
+        Ok(self)
+    }
+}
+
 /// What `--resume` found.
 #[derive(Debug)]
 pub struct Resumed {
@@ -150,15 +162,12 @@ pub fn read(checkpoint: &Path) -> Result<Checkpoint, CheckpointError> {
     Ok(Checkpoint { path: checkpoint.to_owned(), metadata, files: TrainerFiles { model, optimizer } })
 }
 
-/// Checks a checkpoint as [`read`] does, and that its model file is a well-formed safetensors file.
+/// Checks a checkpoint as [`read`] does, and that both its files are well-formed safetensors files.
 ///
 /// # Errors
 /// [`CheckpointError`] names the file at fault.
 pub fn verify(checkpoint: &Path) -> Result<Metadata, CheckpointError> {
-    let checkpoint = read(checkpoint)?;
-    tensors_of(&checkpoint.files.model, &checkpoint.path.join(MODEL_FILE))?;
-    tensors_of(&checkpoint.files.optimizer, &checkpoint.path.join(OPTIMIZER_FILE))?;
-    Ok(checkpoint.metadata)
+    Ok(read(checkpoint)?.well_formed()?.metadata)
 }
 
 /// The checked bytes of a checkpoint's model file.

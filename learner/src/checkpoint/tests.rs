@@ -46,7 +46,7 @@ pub(super) fn files(byte: u8) -> TrainerFiles {
     TrainerFiles { model: tensor("w"), optimizer: tensor("w.adam_m") }
 }
 
-pub(super) fn run_with(updates: &[u64]) -> tempfile::TempDir {
+pub(crate) fn run_with(updates: &[u64]) -> tempfile::TempDir {
     let run = tempfile::tempdir().unwrap();
     let store = Store::open(run.path(), 10).unwrap();
     for &updates in updates {

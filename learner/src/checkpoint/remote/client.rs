@@ -8,7 +8,7 @@ use object_store::azure::MicrosoftAzureBuilder;
 use object_store::gcp::GoogleCloudStorageBuilder;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
-use object_store::{BackoffConfig, ClientOptions, ObjectStore, ObjectStoreExt, RetryConfig};
+use object_store::{BackoffConfig, ClientOptions, ObjectStore, ObjectStoreExt, PutMode, RetryConfig};
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
@@ -59,18 +59,13 @@ impl Client {
         })?;
         let (scheme, place) = url.split_once("://").unwrap_or_default();
         if scheme == "file" {
-            let folder = std::path::Path::new(place);
-            std::fs::create_dir_all(folder).map_err(CheckpointError::io("create", folder))?;
-            let store = LocalFileSystem::new_with_prefix(folder)
-                .map_err(|error| unusable(format!("the folder cannot be used ({error})")))?
-                // A checkpoint that is said to be there is there after a loss of power.
-                .with_fsync(true);
-            return Ok(Self {
-                store: Arc::new(store),
-                prefix: Path::default(),
-                url: url.to_owned(),
-                credentials: "",
-            });
+            // Of the whole disk, so that the folder need not be there: the first write makes it, and who only reads a
+            // mistyped one makes none.
+            let prefix = Path::from_absolute_path(place)
+                .map_err(|error| unusable(format!("the folder cannot be used ({error})")))?;
+            // A checkpoint that is said to be there is there after a loss of power.
+            let store = LocalFileSystem::new().with_fsync(true);
+            return Ok(Self { store: Arc::new(store), prefix, url: url.to_owned(), credentials: "" });
         }
         let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
         let prefix =
@@ -137,6 +132,36 @@ impl Client {
         let path = self.path(name);
         let put = self.within(async { self.store.put(&path, bytes.into()).await }).await;
         put.map(|_| ()).map_err(|problem| self.failed("write", name, &problem))
+    }
+
+    /// Writes an object that must not be there yet; whether it was not. A store that knows no conditions writes in any case.
+    pub(super) async fn create(&self, name: &str, bytes: Vec<u8>) -> Result<bool, CheckpointError> {
+        let (path, copy) = (self.path(name), bytes.clone());
+        let create = async { self.store.put_opts(&path, copy.into(), PutMode::Create.into()).await };
+        match self.within(create).await {
+            Ok(_) => Ok(true),
+            Err(Problem::Store(object_store::Error::AlreadyExists { .. })) => Ok(false),
+            Err(Problem::Store(error)) if knows_no_conditions(&error) => {
+                self.put(name, bytes).await.map(|()| true)
+            }
+            Err(problem) => Err(self.failed("write", name, &problem)),
+        }
+    }
+
+    /// Copies an object within the store, over one that is there.
+    pub(super) async fn copy(&self, from: &str, to: &str) -> Result<(), CheckpointError> {
+        let paths = (self.path(from), self.path(to));
+        let copied = self.within(async { self.store.copy(&paths.0, &paths.1).await }).await;
+        copied.map_err(|problem| self.failed("write", to, &problem))
+    }
+
+    /// A store in memory that takes so long to remove anything.
+    #[cfg(test)]
+    pub(super) fn slow_to_remove(time: Duration) -> Self {
+        use object_store::throttle::{ThrottleConfig, ThrottledStore};
+        let slow = ThrottleConfig { wait_delete_per_call: time, ..ThrottleConfig::default() };
+        let store = ThrottledStore::new(object_store::memory::InMemory::new(), slow);
+        Self { store: Arc::new(store), prefix: Path::default(), url: "memory:".to_owned(), credentials: "" }
     }
 
     /// Removes an object; one that is not there is removed already.
@@ -223,6 +248,12 @@ fn failed(action: &'static str, url: &str, trouble: StoreTrouble) -> CheckpointE
 fn is_absent(error: &object_store::Error) -> bool {
     matches!(error, object_store::Error::NotFound { .. })
         && StoreTrouble::of(error, "") != StoreTrouble::NoBucket
+}
+
+/// The client was told so, or the store answers that it has not implemented them.
+fn knows_no_conditions(error: &object_store::Error) -> bool {
+    matches!(error, object_store::Error::NotImplemented { .. })
+        || super::trouble::chain(error).iter().any(|words| words.contains("status code: 501"))
 }
 
 fn patience() -> ClientOptions {

@@ -1,4 +1,9 @@
-//! Looks at the variables that a store's client reads before the client does, which panics over some values.
+//! Looks at the variables that a store's client reads before the client does, which panics over some values. Those that it
+//! does not read are none of our business: other programs of the machine have theirs under the same beginnings.
+
+use object_store::aws::AmazonS3ConfigKey;
+use object_store::azure::AzureConfigKey;
+use object_store::gcp::GoogleConfigKey;
 
 /// The beginnings of the variables that belong to a scheme.
 fn family(scheme: &str) -> &'static str {
@@ -26,15 +31,50 @@ pub(super) fn check(scheme: &str) -> Result<(), String> {
     Ok(())
 }
 
+/// What the client makes of a variable.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Use {
+    /// The URL of a service.
+    Address,
+    /// A part of requests.
+    Sent,
+    /// The name of a file, or a whole document.
+    Free,
+}
+
+/// `None` for a variable that the client does not read. The client's own parser of names decides, with its other spellings.
+fn use_of(name: &str) -> Option<Use> {
+    let key = name.to_ascii_lowercase();
+    let is_address = match name.split_once('_')?.0 {
+        "AWS" => {
+            use AmazonS3ConfigKey as Key;
+            let addresses = [
+                Key::Endpoint,
+                Key::S3Endpoint,
+                Key::StsEndpoint,
+                Key::MetadataEndpoint,
+                Key::ContainerCredentialsFullUri,
+            ];
+            addresses.contains(&key.parse().ok()?)
+        }
+        "AZURE" => [AzureConfigKey::Endpoint, AzureConfigKey::MsiEndpoint].contains(&key.parse().ok()?),
+        _ => key.parse::<GoogleConfigKey>().ok()? == GoogleConfigKey::BaseUrl,
+    };
+    Some(if is_address {
+        Use::Address
+    } else if name.starts_with("GOOGLE_") || name.ends_with("_FILE") {
+        Use::Free
+    } else {
+        Use::Sent
+    })
+}
+
 fn problem(name: &str, value: &str) -> Option<&'static str> {
-    // Google's may be whole documents.
-    let is_sent_as_it_is = !name.starts_with("GOOGLE_");
-    if is_sent_as_it_is && !value.chars().all(|c| c.is_ascii_graphic() || c == ' ') {
+    let meaning = use_of(name)?;
+    if meaning != Use::Free && !value.chars().all(|c| c.is_ascii_graphic() || c == ' ') {
         return Some("holds a line break or another character that cannot be sent; write it anew");
     }
-    let is_address = name.contains("ENDPOINT") && !name.contains("STYLE") && !name.contains("USE_");
-    // An empty one and a switch are not addresses.
-    if !is_address || value.is_empty() || matches!(value, "true" | "false" | "1" | "0") {
+    if meaning != Use::Address || value.is_empty() {
         return None;
     }
     let is_good = url::Url::parse(value)
@@ -57,6 +97,11 @@ mod tests {
             ("AWS_ENDPOINT_URL_S3", "http://[::1"),
             ("AWS_ENDPOINT_URL", "http://a b"),
             ("AWS_ENDPOINT_URL", "http://a:99999"),
+            ("AWS_ENDPOINT_URL_STS", "regional"),
+            ("AWS_METADATA_ENDPOINT", "nonsense"),
+            ("AZURE_STORAGE_ENDPOINT", "nonsense"),
+            ("AZURE_STORAGE_ACCOUNT_KEY", "key\n"),
+            ("GOOGLE_BASE_URL", "nonsense"),
         ] {
             assert!(problem(name, value).is_some(), "{name}={value:?}");
         }
@@ -67,6 +112,15 @@ mod tests {
             ("AZURE_STORAGE_ENDPOINT", "https://account.blob.core.windows.net"),
             ("GOOGLE_SERVICE_ACCOUNT_KEY", "{\n}\n"),
             ("AZURE_USE_FABRIC_ENDPOINT", "true"),
+            // Standard on the clouds' own machines, and no addresses.
+            ("AWS_STS_REGIONAL_ENDPOINTS", "regional"),
+            ("AWS_S3_US_EAST_1_REGIONAL_ENDPOINT", "regional"),
+            ("AWS_EC2_METADATA_SERVICE_ENDPOINT_MODE", "IPv4"),
+            ("AWS_ACCOUNT_ID_ENDPOINT_MODE", "preferred"),
+            // For other programs, or names of files.
+            ("AWS_PROFILE", "J\u{fc}rgen"),
+            ("AWS_CONFIG_FILE", "/home/j\u{fc}rgen/.aws/config"),
+            ("AWS_WEB_IDENTITY_TOKEN_FILE", "/home/j\u{fc}rgen/token"),
         ] {
             assert_eq!(problem(name, value), None, "{name}={value:?}");
         }

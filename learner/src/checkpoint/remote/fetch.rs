@@ -2,7 +2,7 @@
 
 use super::Remote;
 use crate::checkpoint::reader::{self, Resumed};
-use crate::checkpoint::{CheckpointError, Store, updates_of};
+use crate::checkpoint::{CheckpointError, Store, blocking, updates_of};
 use std::path::{Path, PathBuf};
 
 /// What was found.
@@ -39,18 +39,27 @@ pub async fn resume(
         Err(error @ CheckpointError::NoneUsable { .. }) => (None, Some(error)),
         Err(error) => return Err(error),
     };
-    let (owner, ids) = match remote.of_run(run_id).await {
+    let of_local = local.as_ref().map(|local| local.checkpoint.metadata.run_id.clone());
+    let run_id = run_id.map(str::to_owned).or(of_local);
+    let (owner, ids) = match remote.of_run(run_id.as_deref()).await {
         Ok(found) => found,
         Err(error) if error.is_passing() && local.is_some() => {
             return Ok(Fetched { resumed: local, unreachable: Some(error), ..Fetched::default() });
         }
         Err(error) => return Err(error),
     };
+    let run_id = run_id.or_else(|| owner.clone());
     let known = local.as_ref().map(|local| local.checkpoint.metadata.updates);
     let (count, mut damaged, mut problems) = (ids.len(), Vec::new(), Vec::new());
     for id in ids.into_iter().filter(|id| updates_of(id) > known) {
         match remote.parcel(&id).await {
             Ok(parcel) => {
+                if let Some(expected) = run_id
+                    && parcel.metadata.run_id != expected
+                {
+                    let (url, got) = (remote.path_of(&id).display().to_string(), parcel.metadata.run_id);
+                    return Err(CheckpointError::OtherRun { url, got, expected });
+                }
                 let got = &parcel.metadata.compatibility_hash;
                 if got != compatibility_hash {
                     let (got, expected) = (got.clone(), compatibility_hash.to_owned());
@@ -62,9 +71,17 @@ pub async fn resume(
                 if let Some(problem) = none_usable {
                     tracing::error!("{problem}; the store has a copy");
                 }
+                if let Some(local) = &local {
+                    // The usual reason is a copy that was late to the disk's loss; the other one is a restored backup.
+                    tracing::warn!(
+                        "the store is ahead of the run directory, and the run goes on from there, not from checkpoint {}; \
+                         to go on from that one, start with --checkpoints \"\" or another URL",
+                        local.checkpoint.metadata.id
+                    );
+                }
                 tracing::info!(checkpoint = %id, url = remote.url(), "fetching from the store");
                 let run = run.to_owned();
-                let checkpoint = blocking(move || {
+                let checkpoint = blocking(run.clone(), move || {
                     // Retention is the learner's business; here nothing is removed.
                     reader::read(&Store::open(&run, usize::MAX)?.install(&parcel)?)
                 });
@@ -97,16 +114,5 @@ pub async fn resume(
 }
 
 async fn on_disk(run: PathBuf, compatibility_hash: String) -> Result<Option<Resumed>, CheckpointError> {
-    blocking(move || reader::resume(&run, &compatibility_hash)).await
-}
-
-/// Runs disk work where it may block.
-async fn blocking<T: Send + 'static>(
-    work: impl FnOnce() -> Result<T, CheckpointError> + Send + 'static,
-) -> Result<T, CheckpointError> {
-    match tokio::task::spawn_blocking(work).await {
-        Ok(result) => result,
-        // It is never cancelled, so it panicked: a defect, not to be hidden.
-        Err(error) => std::panic::resume_unwind(error.into_panic()),
-    }
+    blocking(run.clone(), move || reader::resume(&run, &compatibility_hash)).await
 }

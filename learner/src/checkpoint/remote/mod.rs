@@ -5,6 +5,7 @@
 //!   URL/checkpoints/000120/model.safetensors      as in a run directory
 //!                          optimizer.safetensors
 //!                          metadata.json          written last, removed first
+//!                   damaged-000110/...            was found damaged; kept for a person to look at
 //!                   latest                        id of the newest, moved last
 //! ```
 //! An object store has no rename, so the description takes its place: without `metadata.json` there is no checkpoint, and it
@@ -33,8 +34,9 @@ use std::path::PathBuf;
 
 /// Whose checkpoints they are.
 const RUN_FILE: &str = "run.json";
-/// The description of a checkpoint that was passed over as damaged: it is none any more, and a person can still look.
-const DAMAGED_FILE: &str = "damaged-metadata.json";
+/// Before the id of a checkpoint that was passed over as damaged: it is none any more, and a person can still look. Neither
+/// retention nor the next checkpoint of that id touches it.
+const DAMAGED: &str = "damaged-";
 
 /// The checkpoints under one URL.
 #[derive(Debug, Clone)]
@@ -95,8 +97,7 @@ impl Remote {
         if let (Some(got), Some(expected)) = (&owner, run_id)
             && got != expected
         {
-            let (url, got) = (self.url().to_owned(), got.clone());
-            return Err(CheckpointError::OtherRun { url, got, expected: expected.to_owned() });
+            return Err(self.other_run(got.clone(), expected));
         }
         Ok((owner, self.ids().await?))
     }
@@ -143,7 +144,20 @@ impl Remote {
     /// # Errors
     /// [`CheckpointError`] names the object at fault.
     pub async fn metadata(&self, id: &str) -> Result<Metadata, CheckpointError> {
-        described(&self.object(id, METADATA_FILE).await?, &self.path_of(id))
+        self.described(id, &self.object(id, METADATA_FILE).await?)
+    }
+
+    /// The description that these bytes are, if it is the one of this checkpoint: a store, or who copies within it, may
+    /// have mixed them up.
+    fn described(&self, id: &str, description: &[u8]) -> Result<Metadata, CheckpointError> {
+        let metadata = described(description, &self.path_of(id))?;
+        if metadata.id != id || updates_of(id) != Some(metadata.updates) {
+            return Err(CheckpointError::Foreign {
+                path: self.path_of(id).join(METADATA_FILE),
+                reason: format!("it is of checkpoint {:?} after {} updates", metadata.id, metadata.updates),
+            });
+        }
+        Ok(metadata)
     }
 
     /// The checked bytes of a checkpoint's model file.
@@ -185,7 +199,7 @@ impl Remote {
 
     pub(crate) async fn parcel(&self, id: &str) -> Result<Parcel, CheckpointError> {
         let description = self.object(id, METADATA_FILE).await?;
-        let metadata = described(&description, &self.path_of(id))?;
+        let metadata = self.described(id, &description)?;
         let mut files = Vec::new();
         for name in Parcel::names(&metadata, &self.path_of(id))? {
             let bytes = self.checked(id, &name, &metadata).await?;
@@ -196,18 +210,42 @@ impl Remote {
 
     /// Refuses a place that another run uses; where nobody does, writes there whose it is.
     pub(crate) async fn claim(&self, run_id: &str) -> Result<(), CheckpointError> {
-        match self.owner().await? {
-            Some(owner) if owner == run_id => Ok(()),
-            Some(got) => Err(CheckpointError::OtherRun {
-                url: self.url().to_owned(),
-                got,
-                expected: run_id.to_owned(),
-            }),
+        let owner = match self.owner().await? {
             None => {
+                self.refuse_copies_of_others(run_id).await?;
                 let text = serde_json::json!({ "run_id": run_id, "cross": env!("CARGO_PKG_VERSION") });
-                self.client.put(RUN_FILE, format!("{text}\n").into_bytes()).await
+                if self.client.create(RUN_FILE, format!("{text}\n").into_bytes()).await? {
+                    return Ok(());
+                }
+                // Somebody was faster: another run, or a try of ours of which the answer was lost.
+                self.owner().await?
+            }
+            owner => owner,
+        };
+        match owner {
+            Some(owner) if owner == run_id => Ok(()),
+            other => Err(self.other_run(other.unwrap_or_else(|| "unknown".to_owned()), run_id)),
+        }
+    }
+
+    /// Of a place without [`RUN_FILE`]: checkpoints that are there may be another run's.
+    async fn refuse_copies_of_others(&self, run_id: &str) -> Result<(), CheckpointError> {
+        let ids = self.ids().await?;
+        let mut ours = ids.is_empty();
+        for id in ids {
+            match self.metadata(&id).await {
+                Ok(metadata) if metadata.run_id == run_id => ours = true,
+                Ok(metadata) => return Err(self.other_run(metadata.run_id, run_id)),
+                // It does not say whose it is.
+                Err(error) if error.is_corrupt() => {}
+                Err(error) => return Err(error),
             }
         }
+        if ours { Ok(()) } else { Err(self.other_run("unknown".to_owned(), run_id)) }
+    }
+
+    fn other_run(&self, got: String, expected: &str) -> CheckpointError {
+        CheckpointError::OtherRun { url: self.url().to_owned(), got, expected: expected.to_owned() }
     }
 
     /// Refuses a place where there are checkpoints, or a run that will write some.
@@ -277,13 +315,33 @@ impl Remote {
         Ok(())
     }
 
-    /// Makes a damaged checkpoint none, so that nobody trips over it.
+    /// Makes a damaged checkpoint none, so that nobody trips over it, as `Store::go_on_from` does on the disk.
     pub(crate) async fn set_aside(&self, id: &str) -> Result<(), CheckpointError> {
-        if let Some(description) = self.description(id).await? {
-            self.client.put(&format!("{FOLDER}/{id}/{DAMAGED_FILE}"), description).await?;
-            self.remove(id, METADATA_FILE).await?;
+        let objects = self.client.list(&format!("{FOLDER}/{id}")).await?;
+        let described = format!("{FOLDER}/{id}/{METADATA_FILE}");
+        // Without it a try that was interrupted has copied all there was, and retention clears the rest away.
+        if objects.iter().all(|object| object.name != described) {
+            return Ok(());
+        }
+        let aside = format!("{FOLDER}/{DAMAGED}{id}");
+        for Object { name, .. } in self.client.list(&aside).await? {
+            self.client.delete(&name).await?;
+        }
+        for Object { name, .. } in &objects {
+            let file = name.rsplit('/').next().unwrap_or(name);
+            self.client.copy(name, &format!("{aside}/{file}")).await?;
+        }
+        self.client.delete(&described).await?;
+        for Object { name, .. } in objects.iter().filter(|object| object.name != described) {
+            self.client.delete(name).await?;
         }
         Ok(())
+    }
+
+    /// A place in a store that takes so long to remove anything.
+    #[cfg(test)]
+    pub(crate) fn slow_to_remove(time: std::time::Duration) -> Self {
+        Self { client: Client::slow_to_remove(time) }
     }
 
     async fn description(&self, id: &str) -> Result<Option<Vec<u8>>, CheckpointError> {

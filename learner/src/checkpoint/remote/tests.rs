@@ -182,7 +182,16 @@ async fn a_damaged_copy_is_passed_over_set_aside_and_named_by_its_url() {
         assert!(text.contains("file:///") && text.contains("000002") && text.contains(words), "{text}");
         place.remote.set_aside("000002").await.unwrap();
         assert_eq!(place.ids().await, ["000001"], "nobody trips over it");
-        assert!(place.file("000002", "damaged-metadata.json").exists(), "and a person can look");
+        assert!(!place.file("000002", MODEL_FILE).exists() && !place.file("000002", name).exists());
+        // A second try, as after an answer that was lost.
+        place.remote.set_aside("000002").await.unwrap();
+        // The run comes to the same number again, and then far beyond it.
+        place.upload(long.path(), 2).await;
+        place.remote.prune(1, "000002").await.unwrap();
+        assert_eq!(place.ids().await, ["000002"]);
+        assert!(place.file("damaged-000002", METADATA_FILE).exists(), "and a person can look");
+        place.remote.remove("000002", METADATA_FILE).await.unwrap();
+        place.upload(long.path(), 1).await;
 
         fs::remove_file(place.file("000001", MODEL_FILE)).unwrap();
         let error = resumed(tempfile::tempdir().unwrap().path(), &place).await.unwrap_err();
@@ -207,21 +216,83 @@ async fn a_place_belongs_to_one_run_and_one_configuration() {
     let run = run_with(&[1]);
     let place = Place::new();
     place.remote.refuse_used().await.unwrap();
-    place.remote.claim("first").await.unwrap();
-    place.remote.claim("first").await.unwrap();
+    place.remote.claim("run").await.unwrap();
+    place.remote.claim("run").await.unwrap();
     let other = place.remote.claim("second").await.unwrap_err().to_string();
-    assert!(other.contains("first") && other.contains("second") && other.contains("file:///"), "{other}");
+    assert!(other.contains("run run") && other.contains("second") && other.contains("file:///"), "{other}");
     let found = resumed(tempfile::tempdir().unwrap().path(), &place).await.unwrap();
-    assert_eq!(found.owner.as_deref(), Some("first"), "a run without a disk learns who it is");
+    assert_eq!(found.owner.as_deref(), Some("run"), "a run without a disk learns who it is");
     let used = place.remote.refuse_used().await.unwrap_err().to_string();
     assert!(used.contains("--resume"), "{used}");
     let error = resume(run.path(), Some("second"), &place.remote, COMPATIBLE).await.unwrap_err();
     assert!(matches!(error, CheckpointError::OtherRun { .. }), "{error}");
     place.upload(run.path(), 1).await;
     let empty = tempfile::tempdir().unwrap();
-    let error = resume(empty.path(), Some("first"), &place.remote, "feedfeed").await.unwrap_err();
+    let error = resume(empty.path(), Some("run"), &place.remote, "feedfeed").await.unwrap_err();
     assert!(error.to_string().contains("feedfeed") && error.to_string().contains("file:///"), "{error}");
     assert!(!empty.path().join(FOLDER).exists(), "nothing is written of what is refused");
+}
+
+#[tokio::test]
+async fn of_two_runs_that_claim_a_place_at_a_time_one_gets_it() {
+    for _ in 0..20 {
+        let place = Place::new();
+        let claims = tokio::join!(place.remote.claim("a"), place.remote.claim("b"));
+        assert!(claims.0.is_ok() != claims.1.is_ok(), "{claims:?}");
+        let (winner, loser) = if claims.0.is_ok() { ("a", "b") } else { ("b", "a") };
+        place.remote.claim(winner).await.unwrap();
+        let error = place.remote.claim(loser).await.unwrap_err();
+        assert!(matches!(error, CheckpointError::OtherRun { .. }), "{error}");
+    }
+}
+
+#[tokio::test]
+async fn checkpoints_without_an_owner_say_themselves_whose_they_are() {
+    let run = run_with(&[1, 2]);
+    let place = Place::with(run.path(), &[1, 2]).await;
+    let error = place.remote.claim("second").await.unwrap_err();
+    assert!(matches!(&error, CheckpointError::OtherRun { got, .. } if got == "run"), "{error}");
+    // One that cannot be read says nothing.
+    fs::write(place.file("000002", METADATA_FILE), "{").unwrap();
+    let error = resume(tempfile::tempdir().unwrap().path(), Some("second"), &place.remote, COMPATIBLE).await;
+    assert!(matches!(error, Err(CheckpointError::OtherRun { .. })), "{error:?}");
+    place.remote.claim("run").await.unwrap();
+
+    let place = Place::with(run.path(), &[1]).await;
+    fs::write(place.file("000001", METADATA_FILE), "{").unwrap();
+    let error = place.remote.claim("run").await.unwrap_err();
+    assert!(matches!(&error, CheckpointError::OtherRun { got, .. } if got == "unknown"), "{error}");
+}
+
+#[tokio::test]
+async fn a_checkpoint_under_another_s_number_is_damaged() {
+    let run = run_with(&[1, 2]);
+    let place = Place::with(run.path(), &[1]).await;
+    fs::rename(place.file("000001", ""), place.file("000009", "")).unwrap();
+    place.upload(run.path(), 2).await;
+    let found = resumed(tempfile::tempdir().unwrap().path(), &place).await.unwrap();
+    assert_eq!(found.damaged, ["000009"]);
+    assert_eq!(found.resumed.unwrap().checkpoint.metadata.updates, 2);
+}
+
+#[tokio::test]
+async fn a_folder_that_is_only_asked_is_not_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let typo = format!("{}/\u{fc}%20/typo", folder.path().display());
+    let remote = Remote::open(&format!("file://{typo}")).unwrap();
+    assert!(remote.list().await.unwrap().is_empty());
+    assert!(matches!(remote.find(LATEST_FILE).await, Err(CheckpointError::NotFound { .. })));
+    remote.refuse_used().await.unwrap();
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    remote.claim("run").await.unwrap();
+    assert!(Path::new(&typo).join("run.json").exists(), "under the name that was given");
+}
+
+#[tokio::test]
+async fn work_that_panics_is_an_error() {
+    let work = || -> Result<(), CheckpointError> { panic!("on purpose") };
+    let error = crate::checkpoint::blocking(PathBuf::from("/x/000001"), work).await.unwrap_err();
+    assert!(error.to_string().contains("/x/000001"), "{error}");
 }
 
 #[test]
