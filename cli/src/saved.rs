@@ -3,7 +3,7 @@
 use crate::failure::{Failure, OrBadInput, Outcome};
 use anyhow::Context;
 use cross_learner::checkpoint::remote::{self, Named, Remote, named};
-use cross_learner::checkpoint::{CheckpointError, Entry, LATEST_FILE, Metadata, Tensor, reader};
+use cross_learner::checkpoint::{Checkpoint, CheckpointError, Entry, LATEST_FILE, Metadata, reader};
 use cross_support::files::replace_file;
 use std::path::{Path, PathBuf};
 
@@ -27,10 +27,13 @@ impl Saved {
         match text.to_str().and_then(named) {
             None => Ok(None),
             Some(Named::Run(url)) => Ok(Some(Self::Store(Remote::open(&url).or_bad_input()?))),
-            Some(_) => Err(Failure::input(format!(
-                "{} names one checkpoint; --run wants the URL of a run, the part before /checkpoints",
-                text.display()
-            ))),
+            Some(Named::Checkpoint(place, _) | Named::File(place, _)) => {
+                may_be_repeated(&place)?;
+                Err(Failure::input(format!(
+                    "{} names one checkpoint; --run wants the URL of a run, the part before /checkpoints",
+                    text.display()
+                )))
+            }
         }
     }
 
@@ -76,7 +79,8 @@ impl Chosen {
             None => return Ok(None),
             Some(Named::Checkpoint(run, id)) => (run, id),
             Some(Named::Run(run)) => (run, LATEST_FILE.to_owned()),
-            Some(Named::File(..)) => {
+            Some(Named::File(place, _)) => {
+                may_be_repeated(&place)?;
                 return Err(Failure::input(format!("{text} is a policy file; name a checkpoint, or a run")));
             }
         };
@@ -91,30 +95,19 @@ impl Chosen {
         }
     }
 
-    pub(crate) fn metadata(&self) -> Outcome<Metadata> {
+    /// Its description, and the checked bytes of its policy.
+    pub(crate) fn model(&self) -> Outcome<(Metadata, Vec<u8>)> {
         match self {
-            Self::Disk(path) => reader::metadata(path).or_bad_input(),
-            Self::Store { remote, id } => wait(remote.metadata(id)),
+            Self::Disk(path) => reader::model(path).or_bad_input(),
+            Self::Store { remote, id } => wait(remote.model(id)),
         }
     }
 
-    /// The checked bytes of its policy.
-    pub(crate) fn model(&self) -> Outcome<Vec<u8>> {
+    /// All of it: every file compared with its recorded size and hash, and well-formed.
+    pub(crate) fn verify(&self) -> Outcome<Checkpoint> {
         match self {
-            Self::Disk(path) => Ok(reader::model(path).or_bad_input()?.1),
-            Self::Store { remote, id } => Ok(wait(remote.model(id))?.1),
-        }
-    }
-
-    pub(crate) fn tensors(&self) -> Outcome<Vec<Tensor>> {
-        reader::tensors_of(&self.model()?, &self.path()).or_bad_input()
-    }
-
-    /// Compares every file with its recorded size and hash.
-    pub(crate) fn verify(&self) -> Outcome<Metadata> {
-        match self {
-            Self::Disk(path) => reader::verify(path).or_bad_input(),
-            Self::Store { remote, id } => Ok(wait(remote.read(id))?.metadata),
+            Self::Disk(path) => reader::read(path).and_then(Checkpoint::well_formed).or_bad_input(),
+            Self::Store { remote, id } => wait(async { remote.read(id).await?.well_formed() }),
         }
     }
 
@@ -123,12 +116,18 @@ impl Chosen {
         if let Self::Disk(path) = self {
             return reader::export(path, out).or_bad_input();
         }
-        let metadata = self.metadata()?;
-        replace_file(out, &self.model()?)
+        let (metadata, model) = self.model()?;
+        replace_file(out, &model)
             .with_context(|| format!("cannot write {}", out.display()))
             .or_bad_input()?;
         Ok(metadata)
     }
+}
+
+/// Refuses a URL that must not be shown, before it is: it may hold a password.
+fn may_be_repeated(place: &str) -> Outcome<()> {
+    cross_config::checkpoint_url(place)
+        .map_err(|reason| Failure::input(format!("cannot use the URL for checkpoints: it {reason}")))
 }
 
 /// The policy that a URL stands for; `None` for what is no URL.

@@ -5,7 +5,7 @@ use crate::output;
 use crate::saved::{Chosen, Saved};
 use crate::train::run_dir::{RUNS, newest};
 use clap::{Args, Subcommand};
-use cross_learner::checkpoint::Metadata;
+use cross_learner::checkpoint::{MODEL_FILE, Metadata, reader};
 use cross_model::Policy;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -146,8 +146,8 @@ impl Checkpoint {
 
     fn show(&self, chosen: &Chosen) -> Outcome<()> {
         let path = &chosen.path();
-        let metadata = chosen.metadata()?;
-        let tensors = chosen.tensors()?;
+        let (metadata, model) = chosen.model()?;
+        let tensors = reader::tensors_of(&model, &path.join(MODEL_FILE)).or_bad_input()?;
         if self.json {
             let tensors: Vec<_> = tensors
                 .iter()
@@ -179,8 +179,9 @@ impl Checkpoint {
 
     fn verify(&self, chosen: &Chosen) -> Outcome<()> {
         let path = &chosen.path();
-        let metadata = chosen.verify()?;
-        Policy::from_snapshot(&chosen.model()?).or_bad_input()?;
+        let checkpoint = chosen.verify()?;
+        let metadata = checkpoint.metadata;
+        Policy::from_snapshot(&checkpoint.files.model).or_bad_input()?;
         if self.json {
             return output::json(&serde_json::json!({ "id": metadata.id, "path": path, "ok": true }));
         }
