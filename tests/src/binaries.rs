@@ -1,6 +1,7 @@
 //! The programs under test, as `make build` leaves them.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::SystemTime;
 
 /// Skips the check that programs are newer than their sources: for testing an installed build.
@@ -25,6 +26,28 @@ pub fn binary(name: &str) -> PathBuf {
         }
     }
     path
+}
+
+/// A command of a program under test.
+///
+/// # Panics
+/// As [`binary`].
+#[must_use]
+pub fn command(name: &str) -> Command {
+    let mut command = Command::new(binary(name));
+    without_own_variables(&mut command);
+    command
+}
+
+/// Keeps from a program what the tester's own environment says to CROSS and to the clients of object stores: it would decide
+/// where a test goes, or with whose credentials. What a test itself gives comes after this.
+pub fn without_own_variables(command: &mut Command) {
+    for (variable, _) in std::env::vars_os() {
+        let name = variable.to_string_lossy();
+        if ["AWS_", "GOOGLE_", "AZURE_", "CROSS_"].iter().any(|beginning| name.starts_with(beginning)) {
+            command.env_remove(&variable);
+        }
+    }
 }
 
 fn modified(path: &Path) -> Option<SystemTime> {

@@ -1,6 +1,6 @@
 //! Small training runs.
 
-use crate::binaries::binary;
+use crate::binaries;
 use crate::processes::{self, Found};
 use crate::wait;
 use rustix::process::Signal;
@@ -77,7 +77,7 @@ impl Run {
     /// A `cross` command whose processes can be found by [`Run::marker`].
     #[must_use]
     pub fn cross(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(binary("cross"));
+        let mut command = binaries::command("cross");
         command.args(arguments).env("CROSS_TEST_RUN", self.marker()).stdin(Stdio::null());
         command
     }

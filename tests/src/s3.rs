@@ -1,5 +1,6 @@
 //! A local S3 server.
 
+use crate::binaries::without_own_variables;
 use crate::http;
 use crate::tools::Tools;
 use crate::wait;
@@ -11,7 +12,7 @@ use std::process::{Child, Stdio};
 pub struct S3 {
     child: Child,
     address: String,
-    _log: tempfile::TempDir,
+    log: tempfile::TempDir,
 }
 
 /// The bucket that every server starts with.
@@ -25,24 +26,40 @@ impl S3 {
     /// Starts a server that takes any credentials.
     #[must_use]
     pub fn start(tools: &Tools) -> Self {
-        // It cannot be asked which port it took, so it is told one that was free a moment ago.
-        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-        Self::start_at(tools, &address, false)
+        Self::start_anywhere(tools, false)
     }
 
     /// Starts a server that knows nobody: all credentials are wrong.
     #[must_use]
     pub fn start_closed(tools: &Tools) -> Self {
-        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-        Self::start_at(tools, &address, true)
+        Self::start_anywhere(tools, true)
+    }
+
+    fn start_anywhere(tools: &Tools, closed: bool) -> Self {
+        loop {
+            // It cannot be asked which port it took, so it is told one that was free a moment ago. Somebody may have taken
+            // that since; then, and only then, another one is tried.
+            let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+            match Self::try_start_at(tools, &address, closed) {
+                Ok(server) => return server,
+                Err(log) => assert!(log.contains("in use"), "the S3 server ended: {log}"),
+            }
+        }
     }
 
     /// Starts a server where an earlier one was.
     #[must_use]
     pub fn start_at(tools: &Tools, address: &str, closed: bool) -> Self {
+        let started = Self::try_start_at(tools, address, closed);
+        started.unwrap_or_else(|log| panic!("the S3 server ended: {log}"))
+    }
+
+    /// The server, or what one that ended at once had to say.
+    fn try_start_at(tools: &Tools, address: &str, closed: bool) -> Result<Self, String> {
         let log = tempfile::tempdir().unwrap();
         let (host, port) = address.split_once(':').unwrap();
         let mut command = tools.python();
+        without_own_variables(&mut command);
         command.args(["-m", "moto.server", "-H", host, "-p", port]);
         if closed {
             // The making of the bucket; after that, signatures are looked at.
@@ -54,16 +71,22 @@ impl S3 {
             .stderr(std::fs::File::create(log.path().join("log")).unwrap())
             .spawn()
             .unwrap();
-        let mut server = Self { child, address: address.to_owned(), _log: log };
-        wait::until("the S3 server", || {
-            let ended = server.child.try_wait().unwrap();
-            let log = || std::fs::read_to_string(server._log.path().join("log")).unwrap_or_default();
-            assert!(ended.is_none(), "the S3 server ended: {}", log());
-            let (status, _) = http::request("PUT", &server.address, &format!("/{BUCKET}"), "")?;
-            assert_eq!(status, 200, "{}", log());
-            Some(())
+        let mut server = Self { child, address: address.to_owned(), log };
+        let began = wait::until("the S3 server", || {
+            // Its end is looked at last: on a port that was taken, somebody else may answer.
+            let answer = http::request("PUT", &server.address, &format!("/{BUCKET}"), "");
+            if server.child.try_wait().unwrap().is_some() {
+                return Some(Err(server.said()));
+            }
+            let (status, _) = answer?;
+            assert_eq!(status, 200, "{}", server.said());
+            Some(Ok(()))
         });
-        server
+        began.map(|()| server)
+    }
+
+    fn said(&self) -> String {
+        std::fs::read_to_string(self.log.path().join("log")).unwrap_or_default()
     }
 
     /// Where it listens.

@@ -7,7 +7,7 @@
     reason = "tests: documented by their names, failed by panics"
 )]
 
-use cross_tests::binaries::binary;
+use cross_tests::binaries;
 use cross_tests::certificates::Authority;
 use cross_tests::processes::assert_none_left;
 use cross_tests::runs::Run;
@@ -246,12 +246,7 @@ impl<'a> Container<'a> {
 
     fn start(&self, program: &str) -> Child {
         let log = |name: &str| fs::File::create(self.mounts.join(format!("{program}.{name}"))).unwrap();
-        let mut command = Command::new(binary(program));
-        for (variable, _) in std::env::vars_os() {
-            if variable.to_string_lossy().starts_with("CROSS_") {
-                command.env_remove(&variable);
-            }
-        }
+        let mut command = binaries::command(program);
         command.args(&self.arguments).envs(&self.variables).env("CROSS_TEST_RUN", self.run.marker());
         command.stdin(Stdio::null()).stdout(log("out")).stderr(log("log")).spawn().unwrap()
     }
@@ -272,17 +267,17 @@ fn secret(mounts: &Path, folder: &str, files: &[(&str, &str)]) {
 }
 
 #[test]
-fn what_the_manifests_start_trains() {
+fn what_the_manifests_start_finds_each_other_and_is_ready() {
     let Some(tools) = Tools::find() else { return };
     for overlay in ["trial", "production"] {
         let Some(manifests) = render(&tools, overlay) else { return };
         let run = Run::new();
-        starts_and_trains(&tools, overlay, &manifests, &run);
+        starts_and_is_ready(&tools, overlay, &manifests, &run);
         assert_none_left(&run.marker());
     }
 }
 
-fn starts_and_trains(tools: &Tools, overlay: &str, manifests: &[Value], run: &Run) {
+fn starts_and_is_ready(tools: &Tools, overlay: &str, manifests: &[Value], run: &Run) {
     let folder = tempfile::tempdir().unwrap();
     let mounts = folder.path();
     let config = manifests.iter().find(|m| m["kind"] == "ConfigMap").unwrap();

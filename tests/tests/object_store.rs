@@ -6,7 +6,7 @@
     reason = "tests: documented by their names, failed by panics"
 )]
 
-use cross_tests::binaries::binary;
+use cross_tests::binaries;
 use cross_tests::processes::assert_none_left;
 use cross_tests::runs::{Background, Finished, Run, assert_same_metrics, same_bytes};
 use cross_tests::s3::{self, BUCKET, S3, SECRET};
@@ -168,9 +168,12 @@ fn what_is_wrong_with_a_store_is_one_sentence_with_its_remedy() {
     let Some(tools) = Tools::find() else { return };
     let run = Run::new();
     let (open, closed) = (S3::start(&tools), S3::start_closed(&tools));
-    let nobody = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    // Nobody listens on the port of a connection's near end, and as long as there is the connection nobody else gets it.
+    let far_end = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let near_end = std::net::TcpStream::connect(far_end.local_addr().unwrap()).unwrap();
+    let nobody = near_end.local_addr().unwrap().to_string();
     let learner = |environment: Vec<(&'static str, String)>, url: &str, more: &[&str]| {
-        let mut command = std::process::Command::new(binary("cross-learner"));
+        let mut command = binaries::command("cross-learner");
         command.arg("--config").arg(run.config()).arg("--run").arg(run.path()).args(["--checkpoints", url]);
         let output = command.args(more).envs(environment).output().unwrap();
         let text = String::from_utf8(output.stderr).unwrap();
@@ -208,4 +211,43 @@ fn what_is_wrong_with_a_store_is_one_sentence_with_its_remedy() {
         }
     }
     assert!(!run.path().join("checkpoints").exists(), "nothing began");
+    for url in [
+        secret_url.clone(),
+        format!("{secret_url}/checkpoints/000001"),
+        format!("{secret_url}/p.safetensors"),
+    ] {
+        let out = run.path().join("out.safetensors");
+        for arguments in [
+            &["checkpoint", "list", "--run", &url][..],
+            &["checkpoint", "show", &url],
+            &["checkpoint", "verify", "latest", "--run", &url],
+            &["checkpoint", "export", &url, "--out", out.to_str().unwrap()],
+            &["eval", "--scenario", "grid4x4", "--policy", &url, "--seeds", "1"],
+        ] {
+            let refused = call(&run, &open, arguments);
+            refused.assert_refused(&["password"]);
+            assert!(!refused.stderr.contains(SECRET), "{arguments:?}: {}", refused.stderr);
+        }
+    }
+}
+
+/// A store that takes connections and never answers: a stop does not wait for it.
+#[test]
+fn a_stop_while_a_store_is_asked_is_a_stop() {
+    let run = Run::new();
+    let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let mut command = binaries::command("cross-learner");
+    command.arg("--config").arg(run.config()).arg("--run").arg(run.path()).args([
+        "--checkpoints",
+        URL,
+        "--resume",
+    ]);
+    command.envs(s3::environment(&silent.local_addr().unwrap().to_string()));
+    let learner = run.spawn(command);
+    silent.set_nonblocking(true).unwrap();
+    let _question = wait::until("a question to the store", || silent.accept().ok());
+    learner.send(Signal::TERM);
+    let stopped = learner.wait();
+    assert_eq!(stopped.code, Some(0), "{}", stopped.stderr);
+    assert!(stopped.stderr.contains("stopped before anything began"), "{}", stopped.stderr);
 }

@@ -12,7 +12,7 @@ use cross_proto::status::{self, Reason};
 use cross_proto::v1::{GetStatusRequest, PauseRequest, ResumeRequest};
 use cross_support::client::ClientSecurity;
 use cross_support::options::{ClientOptions, TokenOption};
-use cross_tests::binaries::binary;
+use cross_tests::binaries;
 use cross_tests::certificates::{Authority, Pair, secret};
 use cross_tests::processes::assert_none_left;
 use cross_tests::runs::{Run, SMALL};
@@ -27,15 +27,8 @@ const OTHER: &str = "another-token-that-fits-nothing-99";
 
 /// A program of a run, with the options of a test and none of the tester's own environment.
 fn program(run: &Run, name: &str) -> Command {
-    let mut command = Command::new(binary(name));
+    let mut command = binaries::command(name);
     command.env("CROSS_TEST_RUN", run.marker()).stdin(Stdio::null());
-    for (variable, _) in std::env::vars_os() {
-        let text = variable.to_string_lossy();
-        if ["CROSS_TLS", "CROSS_TOKEN", "CROSS_INSECURE", "CROSS_LEARNER"].iter().any(|p| text.starts_with(p))
-        {
-            command.env_remove(&variable);
-        }
-    }
     command
 }
 

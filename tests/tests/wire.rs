@@ -16,11 +16,11 @@ use cross_proto::v1::{
 use cross_sim::layout::load_layout;
 use cross_sim::scenario::Scenario;
 use cross_sim::trajectory::{Fragment, FragmentEnd, FragmentId, RecurrentState};
-use cross_tests::binaries::binary;
+use cross_tests::binaries;
 use cross_tests::processes::assert_none_left;
 use cross_tests::runs::Run;
 use cross_tests::wait;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Channel;
@@ -37,7 +37,7 @@ struct Learner<'a> {
 impl<'a> Learner<'a> {
     fn start(run: &'a Run) -> Self {
         std::fs::create_dir_all(run.path()).unwrap();
-        let child = Command::new(binary("cross-learner"))
+        let child = binaries::command("cross-learner")
             .arg("--config")
             .arg(run.config())
             .arg("--run")
