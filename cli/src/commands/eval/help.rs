@@ -15,7 +15,7 @@ Examples:
   cross eval --scenario arterial4x4 --policy max-pressure --protocol resco
   cross eval --scenario arterial4x4 --policy runs/20260131-235959  a run's newest checkpoint
   cross eval --scenario grid4x4 --policy runs/paper-3/checkpoints/000100 --json
-  cross eval --scenario grid4x4 --policy s3://bucket/paper-3      newest copy in an object store
+  cross eval --scenario grid4x4 --policy s3://bucket/paper-3       newest copy in an object store
   cross eval --scenario grid4x4 --policy policy.safetensors        from `cross checkpoint export`
   cross eval --scenario grid4x4 --policy greedy --csv greedy.csv --out greedy.json";
 
