@@ -5,6 +5,13 @@ use clap::{Parser, ValueEnum};
 use cross_support::options::ClientOptions;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
+use std::sync::LazyLock;
+
+/// What `--version` prints: learner and actors have to speak the same protocol.
+static VERSION: LazyLock<String> = LazyLock::new(|| {
+    let (protocol, libtorch) = (cross_proto::PROTOCOL_VERSION, cross_model::libtorch_version());
+    format!("{} (protocol {protocol}, libtorch {libtorch})", env!("CARGO_PKG_VERSION"))
+});
 
 /// Simulates traffic for a learner: runs one SUMO, acts with the newest policy, and sends what happened.
 ///
@@ -13,7 +20,7 @@ use std::path::PathBuf;
 ///
 /// Exit codes: 0 training complete or stopped by a signal; 2 wrong usage, bad input, or refused by the learner; 1 otherwise.
 #[derive(Debug, Clone, Parser)]
-#[command(name = "cross-actor", version, max_term_width = 110)]
+#[command(name = "cross-actor", version = VERSION.as_str(), max_term_width = 110)]
 pub struct Options {
     /// Address of the learner, as https://HOST:PORT, or http://HOST:PORT if it does not speak TLS
     #[arg(long, value_name = "URL", env = "CROSS_LEARNER")]

@@ -6,6 +6,13 @@ use cross_support::options::ServerOptions;
 use cross_support::server::ServerSecurity;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::LazyLock;
+
+/// What `--version` prints: learner and actors have to speak the same protocol.
+static VERSION: LazyLock<String> = LazyLock::new(|| {
+    let (protocol, libtorch) = (cross_proto::PROTOCOL_VERSION, cross_model::libtorch_version());
+    format!("{} (protocol {protocol}, libtorch {libtorch})", env!("CARGO_PKG_VERSION"))
+});
 
 /// How log lines look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -21,7 +28,7 @@ pub(crate) enum LogFormat {
 /// `cross train` starts it together with actors on one machine, so most people never type this. On a cluster, start one
 /// learner, then point any number of actors at its address.
 #[derive(Debug, Parser)]
-#[command(version, after_help = AFTER_HELP)]
+#[command(version = VERSION.as_str(), after_help = AFTER_HELP)]
 pub(crate) struct Options {
     /// Configuration of the run, TOML; unknown keys are refused by name
     #[arg(long, value_name = "FILE")]

@@ -105,7 +105,9 @@ pub enum CheckpointError {
         expected: String,
     },
     /// A new run was to begin where there are checkpoints already.
-    #[error("{url} already holds the checkpoints of run {run}; pass --resume to go on, or name another URL")]
+    #[error(
+        "{url} already holds the checkpoints of run {run}; name another URL, or pass --resume to go on with that run"
+    )]
     Occupied {
         /// The place.
         url: String,
