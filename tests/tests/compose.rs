@@ -8,6 +8,7 @@
 
 use cross_tests::{http, packages, wait};
 use serde_json::Value;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
@@ -189,7 +190,8 @@ fn the_stack_trains_in_containers_and_goes_down_with_a_checkpoint() {
     wait::until("every actor scraped", || {
         stack.query("sum(up{job=\"cross-actor\"})").filter(|&actors| actors >= 3.0)
     });
-    println!("containers: {}; {updates} updates", named.join(", "));
+    // Past the capture of the test's output: it is part of what a run of the tests reports.
+    let _ = writeln!(std::io::stderr(), "containers: {}; {updates} updates", named.join(", "));
 
     // The drain: `stop` sends SIGTERM and waits for the grace period before it kills.
     run(stack.compose(&["stop", "actor"]));
@@ -219,7 +221,7 @@ fn the_stack_trains_in_containers_and_goes_down_with_a_checkpoint() {
         line["fields"]["updates"].as_f64()
     });
     assert!(resumed >= updates, "it begins at update {resumed}, but {updates} were made before");
-    println!("resumed at update {resumed}");
+    let _ = writeln!(std::io::stderr(), "containers: resumed at update {resumed}");
     let files = run(stack.compose(&[
         "exec",
         "-T",
