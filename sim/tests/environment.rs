@@ -204,15 +204,44 @@ fn a_killed_sumo_costs_the_episode_and_nothing_else() {
     assert_eq!(episode(&mut env, 1, None), undisturbed);
 }
 
+#[test]
+fn a_sumo_that_is_used_again_simulates_as_a_fresh_one() {
+    let mut fresh = env("grid4x4");
+    let wanted = episode(&mut fresh, 6, None);
+    let mut env = env("grid4x4");
+    episode(&mut env, 5, None);
+    let pid = env.sumo_pid().unwrap();
+    assert_eq!(episode(&mut env, 6, None), wanted);
+    // Once more from the middle of an episode, and of a watched one.
+    env.step_observed(&[1; 16], &mut |_: &SecondView<'_>| {}).unwrap_err();
+    env.reset(9).unwrap();
+    env.step_observed(&[1; 16], &mut |_: &SecondView<'_>| {}).unwrap();
+    assert_eq!(episode(&mut env, 6, None), wanted);
+    assert_eq!(env.sumo_pid(), Some(pid));
+}
+
 #[cfg(target_os = "linux")]
 #[test]
-fn no_sumo_outlives_its_environment_or_its_episode() {
+fn a_sumo_killed_between_episodes_is_replaced_and_costs_nothing() {
+    let mut env = env("cologne1");
+    let wanted = episode(&mut env, 1, None);
+    let first = env.sumo_pid().unwrap();
+    assert!(std::process::Command::new("kill").args(["-KILL", &first.to_string()]).status().unwrap().success());
+    assert_eq!(episode(&mut env, 1, None), wanted);
+    assert_ne!(env.sumo_pid(), Some(first));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn no_sumo_outlives_its_environment_or_its_end() {
     let mut env = env("cologne1");
     env.reset(1).unwrap();
     let first = env.sumo_pid().unwrap();
+    env.finish().unwrap();
+    assert!(!is_alive(first));
     env.reset(2).unwrap();
     let second = env.sumo_pid().unwrap();
-    assert!(!is_alive(first) && is_alive(second));
+    assert!(is_alive(second));
     drop(env);
     assert!(!is_alive(second));
 }

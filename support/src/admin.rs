@@ -84,7 +84,7 @@ async fn metrics<S: Subject>(
             .into_response();
     }
     let kind = [(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")];
-    (kind, admin.subject.metrics() + &crate::process::metrics()).into_response()
+    (kind, admin.subject.metrics() + &crate::process::metrics() + &crate::threads::metrics()).into_response()
 }
 
 async fn ready<S: Subject>(State(admin): State<Admin<S>>) -> Response {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   files        a reader, or a crash, never meets half of one
-//!   admin        /metrics (with process), /ready, /live
+//!   admin        /metrics (with process, threads), /ready, /live
 //!   options ──> pem, token ──> server ── incoming ──> gRPC and admin ports
 //!                         └──> client ──────────────> endpoint, bearer token
 //!                                   places: how many, patience: silent for how long
@@ -23,6 +23,7 @@ mod pem;
 mod places;
 pub mod problem;
 mod process;
+mod threads;
 pub mod server;
 pub mod token;
 

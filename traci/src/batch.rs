@@ -6,14 +6,15 @@ use crate::codec::{DecodeError, Reader, Writer};
 use crate::constants::{Domain, INVALID_DOUBLE, traffic_light};
 use crate::error::TraciError;
 use crate::reply::{Answer, describe};
-use crate::subscription::Subscription;
+use crate::subscription::{Subscription, SubscriptionResults};
 use crate::value::{Value, read_last_value};
 
-/// Commands that go out together. Made by [`Client::batch`], ended by [`send`](Self::send); dropped, nothing is sent.
+/// Commands that go out together. Made by [`Client::batch`], ended by [`send`](Self::send) or [`post`](Self::post);
+/// dropped, nothing is sent.
 ///
 /// `simulationStep` cannot be among them: SUMO throws away the answers to what stands before it in the same message.
 #[derive(Debug)]
-#[must_use = "nothing is sent before `send`"]
+#[must_use = "nothing is sent before `send` or `post`"]
 pub struct Batch<'c> {
     client: &'c mut Client,
 }
@@ -108,6 +109,16 @@ impl<'c> Batch<'c> {
         }
         Ok(self.client.replies())
     }
+
+    /// Sends all of them in one message, but waits for nothing: SUMO comes to them after all that was posted before. The
+    /// answers are [taken](Client::take), or checked and forgotten by the next call that waits. An empty batch posts
+    /// nothing.
+    ///
+    /// # Errors
+    /// [`TraciError::Unusable`] after an earlier failure.
+    pub fn post(self) -> Result<(), TraciError> {
+        if self.is_empty() { Ok(()) } else { self.client.post() }
+    }
 }
 
 fn write_variables(writer: &mut Writer<'_>, variables: &[u8]) {
@@ -148,6 +159,16 @@ impl<'a> Replies<'a> {
     /// Whether there was no command.
     pub fn is_empty(&self) -> bool {
         self.answers.is_empty()
+    }
+
+    /// What a step brought, if the message was a [`simulationStep`](Client::post_step).
+    pub fn step(&self) -> Option<SubscriptionResults<'a>> {
+        match self.answers.first() {
+            Some(Answer::Step(count, range)) => {
+                Some(SubscriptionResults::checked(*count, &self.body[range.clone()]))
+            }
+            _ => None,
+        }
     }
 
     /// The answers in order.

@@ -1,4 +1,8 @@
-//! The client: typed calls, one message each, a deadline on every one.
+//! The client: typed calls, a deadline on every one.
+//!
+//! A call sends one message and waits for the answer. Where the answer to one message does not decide the next,
+//! [`Batch::post`] and [`Client::post_step`] let SUMO go on from one to the other without waiting for us: messages that
+//! are posted go out together, at the latest with the next call, and are answered in order.
 
 use crate::argument::Argument;
 use crate::batch::{Batch, Replies};
@@ -6,6 +10,7 @@ use crate::codec::{DecodeError, Reader, Writer};
 use crate::connection::{Connection, Fault};
 use crate::constants::{API_VERSION, Domain, OLDEST_API_VERSION, command};
 use crate::error::{ErrorKind, Evidence, TraciError};
+use crate::outbox::{Commands, Outbox};
 use crate::reply::{self, Answer, describe, describe_message};
 use crate::subscription::{Subscription, SubscriptionResults};
 use crate::sumo::Process;
@@ -28,7 +33,7 @@ pub struct Statistics {
     pub bytes_sent: u64,
     /// Bytes received.
     pub bytes_received: u64,
-    /// Time from sending a `simulationStep` to having its whole answer: SUMO's work, almost all of it.
+    /// Time spent waiting for the answers to `simulationStep`: SUMO's work, almost all of it.
     pub stepping: Duration,
     /// The same for all other messages.
     pub other: Duration,
@@ -38,10 +43,8 @@ pub struct Statistics {
 #[derive(Debug)]
 pub struct Client {
     connection: Connection,
-    /// The message being written, its length first. Reused.
-    sent: Vec<u8>,
-    /// Where its commands start.
-    starts: Vec<usize>,
+    outbox: Outbox,
+    /// The answers to the message that was answered last.
     answers: Vec<Answer>,
     timeout: Duration,
     process: Option<Arc<Process>>,
@@ -81,8 +84,7 @@ impl Client {
     ) -> Result<Self, TraciError> {
         let mut client = Self {
             connection,
-            sent: Vec::new(),
-            starts: Vec::new(),
+            outbox: Outbox::default(),
             answers: Vec::new(),
             timeout: handshake,
             process,
@@ -152,30 +154,68 @@ impl Client {
     /// # Errors
     /// [`TraciError::Refused`] for a time that is no number; any other error ends the connection.
     pub fn simulation_step(&mut self, to: f64) -> Result<SubscriptionResults<'_>, TraciError> {
-        self.begin();
-        self.push(command::SIMULATION_STEP, |w| {
-            w.f64(to);
-        });
-        if !to.is_finite() {
-            return Err(TraciError::Refused {
-                command: describe_message(&self.sent, &self.starts),
-                message: "the time to simulate to must be a finite number of seconds".to_owned(),
-                refused: 1,
-                sent: 1,
-            });
-        }
+        self.begin_step(to)?;
         self.run()?;
         Ok(self.subscriptions())
     }
 
-    /// The results of the last [`simulation_step`](Self::simulation_step), if nothing was called since.
-    pub fn subscriptions(&self) -> SubscriptionResults<'_> {
-        match self.answers.first() {
-            Some(Answer::Step(count, range)) => {
-                SubscriptionResults::checked(*count, &self.connection.body()[range.clone()])
-            }
-            _ => SubscriptionResults::default(),
+    /// As [`simulation_step`](Self::simulation_step), but waits for nothing: the step is made when SUMO comes to it, after
+    /// all that was posted before. Its answer is [taken](Self::take), or checked and forgotten by the next call that waits.
+    ///
+    /// # Errors
+    /// [`TraciError::Refused`] for a time that is no number, [`TraciError::Unusable`] after an earlier failure.
+    pub fn post_step(&mut self, to: f64) -> Result<(), TraciError> {
+        self.begin_step(to)?;
+        self.post()
+    }
+
+    fn begin_step(&mut self, to: f64) -> Result<(), TraciError> {
+        self.begin();
+        self.push(command::SIMULATION_STEP, |w| {
+            w.f64(to);
+        });
+        if to.is_finite() {
+            return Ok(());
         }
+        Err(TraciError::Refused {
+            command: describe_message(self.outbox.written()),
+            message: "the time to simulate to must be a finite number of seconds".to_owned(),
+            refused: 1,
+            sent: 1,
+        })
+    }
+
+    /// The results of the last [`simulation_step`](Self::simulation_step), or of the step that was [taken](Self::take) last,
+    /// if nothing was called since.
+    pub fn subscriptions(&self) -> SubscriptionResults<'_> {
+        self.replies().step().unwrap_or_default()
+    }
+
+    /// Sends what is posted. SUMO begins with it while the caller does something else.
+    ///
+    /// # Errors
+    /// As [`take`](Self::take), but for refusals.
+    pub fn flush(&mut self) -> Result<(), TraciError> {
+        let outcome = self.connection.send(&mut self.outbox, self.timeout);
+        outcome.map_err(|fault| self.fault(fault))
+    }
+
+    /// Messages that are posted and whose answers were not taken.
+    pub fn waiting(&self) -> usize {
+        self.outbox.waiting()
+    }
+
+    /// Waits for the answer to the oldest message that is posted and not answered; for nothing if there is none.
+    ///
+    /// # Errors
+    /// [`TraciError::Refused`] names the first refused command of that message; other errors end the connection.
+    pub fn take(&mut self) -> Result<Replies<'_>, TraciError> {
+        self.flush()?;
+        self.answers.clear();
+        if self.outbox.waiting() > 0 {
+            self.receive()?;
+        }
+        Ok(self.replies())
     }
 
     /// Begins a message of several commands.
@@ -251,7 +291,11 @@ impl Client {
     /// subscription that ends in the message that makes it. It also ends every other context subscription around that
     /// object.
     ///
-    /// This is the cheapest way to see every vehicle every few seconds: one round trip, and nothing in between.
+    /// One round trip, and nothing in between; but SUMO searches the network for whatever is in the range. Where ids are
+    /// known or asked for first, reading the same values in one [`batch`](Self::batch) takes a sixth of the time.
+    ///
+    /// SUMO forgets a subscription that has ended with the next step only: looking around many times in the same second
+    /// gets slower each time.
     ///
     /// # Errors
     /// As [`set`](Self::set).
@@ -320,74 +364,90 @@ impl Client {
         outcome
     }
 
-    /// Forgets the last message.
+    /// Begins a message.
     pub(crate) fn begin(&mut self) {
-        self.sent.clear();
-        self.sent.extend([0; 4]);
-        self.starts.clear();
+        self.outbox.begin();
         self.answers.clear();
     }
 
     /// Adds a command to the message.
     pub(crate) fn push(&mut self, id: u8, body: impl FnOnce(&mut Writer<'_>)) {
-        self.starts.push(self.sent.len());
-        Writer::new(&mut self.sent).command(id, body);
+        self.outbox.push(id, body);
     }
 
     /// Number of commands in the message.
     pub(crate) fn commands(&self) -> usize {
-        self.starts.len()
+        self.outbox.commands()
     }
 
-    /// The answers to the last message.
+    /// The answers to the message that was answered last.
     pub(crate) fn replies(&self) -> Replies<'_> {
-        Replies {
-            answers: &self.answers,
-            body: self.connection.body(),
-            sent: &self.sent,
-            starts: &self.starts,
-        }
+        let Commands { bytes: sent, starts } = self.outbox.answered();
+        Replies { answers: &self.answers, body: self.connection.body(), sent, starts }
     }
 
-    /// Sends the message and reads the answers.
-    pub(crate) fn run(&mut self) -> Result<(), TraciError> {
+    /// Completes the message, to be sent with the next that is waited for.
+    pub(crate) fn post(&mut self) -> Result<(), TraciError> {
         if self.closed || self.failed.is_some() {
             return Err(self.unusable());
         }
+        self.outbox.post().map_err(|source| {
+            let command = describe_message(self.outbox.written());
+            let error = TraciError::Protocol { command, source, evidence: gather(self.process.as_ref(), false) };
+            self.fail(error)
+        })
+    }
+
+    /// Sends the message and all that is posted, and reads their answers; this message's are kept. If several were
+    /// refused, the first is told of.
+    pub(crate) fn run(&mut self) -> Result<(), TraciError> {
+        self.post()?;
+        self.flush()?;
+        let mut refused = None;
+        while self.outbox.waiting() > 0 {
+            match self.receive() {
+                Err(error @ TraciError::Refused { .. }) => {
+                    refused.get_or_insert(error);
+                }
+                outcome => outcome?,
+            }
+        }
+        refused.map_or(Ok(()), Err)
+    }
+
+    /// Reads the answer to the oldest message.
+    fn receive(&mut self) -> Result<(), TraciError> {
         let begun = Instant::now();
-        let outcome = self.connection.exchange(&mut self.sent, self.timeout);
-        let took = begun.elapsed();
-        self.count(took);
+        let outcome = self.connection.receive(self.outbox.waiting() == 1, self.timeout);
+        self.count(begun.elapsed());
         outcome.map_err(|fault| self.fault(fault))?;
-        reply::read(&self.sent, &self.starts, self.connection.body(), &mut self.answers)
+        let Commands { bytes, starts } = self.outbox.awaited();
+        reply::read(bytes, starts, self.connection.body(), &mut self.answers)
             .map_err(|source| self.protocol(source))?;
+        self.outbox.settle();
         self.refusals()
     }
 
     /// Why the message cannot be sent.
     fn unusable(&self) -> TraciError {
-        let command = describe_message(&self.sent, &self.starts);
+        let command = describe_message(self.outbox.written());
         let (kind, earlier) = self.failed.clone().unwrap_or((ErrorKind::Refused, "it was closed".to_owned()));
         TraciError::Unusable { command, kind, earlier }
     }
 
+    /// Counts the oldest message, whose answer took so long.
     fn count(&mut self, took: Duration) {
-        let is_step = self.is_step();
+        let message = self.outbox.awaited();
         let statistics = &mut self.statistics;
         statistics.messages += 1;
-        statistics.commands += self.starts.len() as u64;
-        statistics.bytes_sent += self.sent.len() as u64;
+        statistics.commands += message.starts.len() as u64;
+        statistics.bytes_sent += message.len() as u64;
         statistics.bytes_received += self.connection.body().len() as u64 + 4;
-        if is_step {
+        if message.is_step() {
             statistics.stepping += took;
         } else {
             statistics.other += took;
         }
-    }
-
-    /// Whether the message is a `simulationStep`: one command of ten bytes, its id behind its length.
-    fn is_step(&self) -> bool {
-        self.sent.get(4..6) == Some(&[10, command::SIMULATION_STEP])
     }
 
     fn refusals(&self) -> Result<(), TraciError> {
@@ -398,16 +458,17 @@ impl Client {
             })
         };
         let Some((index, range)) = refused().next() else { return Ok(()) };
+        let Commands { bytes, starts } = self.outbox.answered();
         Err(TraciError::Refused {
-            command: describe(&self.sent[self.starts[index]..]),
+            command: describe(starts.get(index).map_or(&[], |&start| &bytes[start..])),
             message: String::from_utf8_lossy(&self.connection.body()[range.clone()]).into_owned(),
             refused: refused().count(),
-            sent: self.starts.len(),
+            sent: starts.len(),
         })
     }
 
     fn fault(&mut self, fault: Fault) -> TraciError {
-        let command = describe_message(&self.sent, &self.starts);
+        let command = describe_message(self.outbox.awaited());
         let process = self.process.as_ref();
         let error = match fault {
             Fault::Closed(detail) => TraciError::Crashed { command, detail, evidence: gather(process, true) },

@@ -1,12 +1,15 @@
-//! One socket, one message at a time, a deadline on each.
+//! One socket: messages go out together, answers come in order, a deadline on each.
 
-use crate::codec::{DecodeError, MAX_MESSAGE};
+use crate::codec::DecodeError;
 use crate::intake::Intake;
-use std::io::{self, Read, Write};
+use crate::outbox::Outbox;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::net::{RecvFlags, SendFlags, recv, send};
+use std::io;
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
-/// Why a message did not come back.
+/// Why an answer did not come.
 #[derive(Debug)]
 pub(crate) enum Fault {
     /// SUMO's end is gone.
@@ -17,16 +20,14 @@ pub(crate) enum Fault {
     Protocol(DecodeError),
 }
 
-impl From<io::Error> for Fault {
-    fn from(error: io::Error) -> Self {
-        match error.kind() {
-            io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => Self::Timeout,
-            _ => Self::Closed(error.to_string()),
-        }
+impl From<rustix::io::Errno> for Fault {
+    fn from(error: rustix::io::Errno) -> Self {
+        Self::Closed(io::Error::from(error).to_string())
     }
 }
 
-/// A connected socket with its receive buffer.
+/// A connected socket with its receive buffer. No call on the socket itself blocks: waiting is `poll` alone, until the
+/// deadline.
 #[derive(Debug)]
 pub(crate) struct Connection {
     stream: TcpStream,
@@ -37,25 +38,47 @@ impl Connection {
     /// Connects within `timeout`.
     pub(crate) fn connect(address: SocketAddr, timeout: Duration) -> io::Result<Self> {
         let stream = TcpStream::connect_timeout(&address, timeout.max(Duration::from_millis(1)))?;
-        // Small messages in strict alternation: waiting to fill a packet would cost 40 ms each.
+        // Small messages: waiting to fill a packet would cost 40 ms each.
         stream.set_nodelay(true)?;
         Ok(Self { stream, received: Intake::default() })
     }
 
-    /// Sends `message`, whose first four bytes are still to be its length, and receives the answer. Its body is then
-    /// in [`body`](Self::body).
-    pub(crate) fn exchange(&mut self, message: &mut [u8], timeout: Duration) -> Result<(), Fault> {
+    /// Sends what is still to be sent. While SUMO takes nothing because it waits for its answers to be taken, they are.
+    pub(crate) fn send(&mut self, outbox: &mut Outbox, timeout: Duration) -> Result<(), Fault> {
         let deadline = Instant::now().checked_add(timeout);
-        let length = message.len();
-        let declared = i32::try_from(length).ok().filter(|_| length <= MAX_MESSAGE);
-        let (Some(declared), Some(header)) = (declared, message.first_chunk_mut::<4>()) else {
-            let declared = i64::try_from(length).unwrap_or(i64::MAX);
-            return Err(Fault::Protocol(DecodeError::Length { declared, limit: MAX_MESSAGE }));
-        };
-        *header = declared.to_be_bytes();
-        self.received.clear();
-        self.send(message, deadline)?;
-        self.receive(deadline)
+        while !outbox.unsent().is_empty() {
+            match send(&self.stream, outbox.unsent(), SendFlags::DONTWAIT | SendFlags::NOSIGNAL) {
+                Ok(0) => return Err(Fault::Closed("the socket takes no more bytes".to_owned())),
+                Ok(count) => outbox.sent(count),
+                Err(rustix::io::Errno::INTR) => {}
+                Err(rustix::io::Errno::AGAIN) => {
+                    let ready = self.wait(PollFlags::IN | PollFlags::OUT, deadline)?;
+                    if ready.contains(PollFlags::IN) {
+                        self.take()?;
+                    }
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(())
+    }
+
+    /// Receives the next answer, whose body is then in [`body`](Self::body); `last` if none is to follow it.
+    pub(crate) fn receive(&mut self, last: bool, timeout: Duration) -> Result<(), Fault> {
+        let deadline = Instant::now().checked_add(timeout);
+        while !self.received.next().map_err(Fault::Protocol)? {
+            if !self.take()? {
+                self.wait(PollFlags::IN, deadline)?;
+            } else if deadline.is_some_and(|deadline| deadline <= Instant::now()) {
+                return Err(Fault::Timeout);
+            }
+        }
+        match self.received.behind() {
+            0 => Ok(()),
+            _ if !last => Ok(()),
+            // Every answer belongs to a message.
+            count => Err(Fault::Protocol(DecodeError::Trailing(count))),
+        }
     }
 
     /// The last answer without its length.
@@ -69,38 +92,32 @@ impl Connection {
         let _ = self.stream.shutdown(std::net::Shutdown::Both);
     }
 
-    fn send(&mut self, mut message: &[u8], deadline: Option<Instant>) -> Result<(), Fault> {
-        while !message.is_empty() {
-            self.stream.set_write_timeout(left(deadline)?)?;
-            match self.stream.write(message) {
-                Ok(0) => return Err(Fault::Closed("the socket takes no more bytes".to_owned())),
-                Ok(written) => message = &message[written..],
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(error.into()),
+    /// Takes what has come; whether anything had.
+    fn take(&mut self) -> Result<bool, Fault> {
+        let space = self.received.space().map_err(Fault::Protocol)?;
+        match recv(&self.stream, space, RecvFlags::DONTWAIT) {
+            Ok((_, 0)) => Err(Fault::Closed("end of the stream".to_owned())),
+            Ok((_, count)) => {
+                self.received.took(count);
+                Ok(true)
             }
+            Err(rustix::io::Errno::AGAIN | rustix::io::Errno::INTR) => Ok(false),
+            Err(error) => Err(error.into()),
         }
-        Ok(())
     }
 
-    fn receive(&mut self, deadline: Option<Instant>) -> Result<(), Fault> {
-        while let Some(space) = self.received.wanted().map_err(Fault::Protocol)? {
-            self.stream.set_read_timeout(left(deadline)?)?;
-            match self.stream.read(space) {
-                Ok(0) => return Err(Fault::Closed("end of the stream".to_owned())),
-                Ok(count) => self.received.took(count),
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(error.into()),
-            }
+    /// Waits until one of `flags` holds, and says which; `None` is a deadline too far away to be expressed.
+    fn wait(&self, flags: PollFlags, deadline: Option<Instant>) -> Result<PollFlags, Fault> {
+        let left = match deadline.map(|deadline| deadline.saturating_duration_since(Instant::now())) {
+            Some(Duration::ZERO) => return Err(Fault::Timeout),
+            left => left.and_then(|left| Timespec::try_from(left).ok()),
+        };
+        let mut socket = [PollFd::new(&self.stream, flags)];
+        match poll(&mut socket, left.as_ref()) {
+            Ok(0) => Err(Fault::Timeout),
+            Ok(_) => Ok(socket[0].revents()),
+            Err(rustix::io::Errno::INTR) => Ok(PollFlags::empty()),
+            Err(error) => Err(error.into()),
         }
-        Ok(())
-    }
-}
-
-/// Time left until the deadline; `None` is a deadline too far away to be expressed.
-fn left(deadline: Option<Instant>) -> Result<Option<Duration>, Fault> {
-    let Some(deadline) = deadline else { return Ok(None) };
-    match deadline.saturating_duration_since(Instant::now()) {
-        Duration::ZERO => Err(Fault::Timeout),
-        left => Ok(Some(left)),
     }
 }

@@ -51,11 +51,12 @@
 //! # Speed
 //! A round trip costs more than any value in it, so the crate is built around few messages:
 //! - [`Client::simulation_step`] goes any number of seconds at once.
-//! - [`Client::look_around`] with a range larger than the network brings every vehicle in one message. Subscriptions
-//!   bring the same with each step, but SUMO works them out after every simulated second, however many of them one
-//!   step covers: on a grid of sixteen lights a standing one for all vehicles makes SUMO half as busy again, and one
-//!   for all lanes nearly twice as busy. They pay where every second is looked at.
+//! - Values of many objects are read cheapest in one batch: 228 values of 76 vehicles took 0.11 ms, waiting included. A
+//!   subscription to all of them, [`Client::look_around`] too, took 0.5 ms, since SUMO searches the network for them.
+//!   Standing subscriptions are worked out after every simulated second, however many of them one step covers.
 //! - [`Client::batch`] sends any number of commands in one message.
+//! - [`Batch::post`] and [`Client::post_step`] send a message without waiting for its answer, so that SUMO goes from a
+//!   light to the seconds after it and on without us: ten seconds, each with its subscriptions, are one round trip.
 //! - Results are read where they were received. Buffers are kept: steady traffic allocates nothing (there is a test).
 //!
 //! # Faults
@@ -80,6 +81,7 @@ mod connection;
 pub mod constants;
 pub mod error;
 mod intake;
+mod outbox;
 mod read;
 pub mod recorded;
 mod reply;
@@ -93,7 +95,6 @@ pub use client::{Client, Statistics};
 pub use codec::DecodeError;
 pub use constants::Domain;
 pub use error::{ErrorKind, Evidence, TraciError};
-pub use intake::Intake;
 pub use read::SimulationState;
 pub use recorded::Recorded;
 pub use subscription::{Object, Objects, Subscription, SubscriptionResults};

@@ -2,6 +2,7 @@
 
 use crate::codec::{DecodeError, Reader};
 use crate::constants::{Domain, RESPONSE, command, result, types, variable_name};
+use crate::outbox::Commands;
 use crate::subscription::{Subscription, SubscriptionResults};
 use crate::value::read_last_value;
 use std::ops::Range;
@@ -218,7 +219,8 @@ fn try_describe(bytes: &[u8]) -> Result<String, DecodeError> {
 }
 
 /// A whole message in words.
-pub(crate) fn describe_message(sent: &[u8], starts: &[usize]) -> String {
+pub(crate) fn describe_message(message: Commands<'_>) -> String {
+    let Commands { bytes: sent, starts } = message;
     let first = starts.first().map_or_else(String::new, |&start| describe(&sent[start.min(sent.len())..]));
     match starts.len() {
         0 => "nothing".to_owned(),
@@ -261,7 +263,7 @@ mod tests {
         assert_eq!(describe(&step), "the simulation step to 30 s");
         let starts = [0, set.len()];
         let both = [set, step].concat();
-        let told = describe_message(&both, &starts);
+        let told = describe_message(Commands { bytes: &both, starts: &starts });
         assert_eq!(
             told,
             "setting RED_YELLOW_GREEN_STATE of traffic light 'J0' to 'GGrr' and 1 more in one message"

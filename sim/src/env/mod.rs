@@ -5,7 +5,7 @@
 //!                                                                                       └──> SecondObserver, if one watches
 //! ```
 //! Between decisions SUMO runs several seconds in one command: to the end of yellow where a phase changes, then to the
-//! next decision. Only an episode that is [observed](Env::step_observed) is simulated second by second; what happens in it
+//! next decision. All that it needs for that, and the question what it looks like then, goes out at once. Only an episode that is [observed](Env::step_observed) is simulated second by second; what happens in it
 //! is the same.
 //!
 //! With [`Signals::Program`] SUMO sets the lights itself: a step passes the interval of a decision and looks on. The phase
@@ -17,6 +17,7 @@ mod options;
 mod programs;
 mod signals;
 mod simulation;
+mod vehicles;
 
 pub use observer::{SecondObserver, SecondView};
 pub use options::EnvOptions;
@@ -29,9 +30,9 @@ use crate::observe;
 use crate::scenario::Scenario;
 use crate::signal::{Command, SignalTiming};
 use crate::trajectory::Observation;
-use cross_traci::{SumoHome, TraciError};
+use cross_traci::SumoHome;
 use programs::ProgramFile;
-use simulation::Simulation;
+use simulation::{Second, Simulation};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -60,7 +61,6 @@ pub struct Env {
     scenario: Scenario,
     options: EnvOptions,
     layout: Arc<NetworkLayout>,
-    anchor: String,
     signals: SignalTiming,
     /// What SUMO is told about signal programs, where it is told something.
     programs: Option<ProgramFile>,
@@ -81,14 +81,11 @@ impl Env {
     /// [`SimError::ProgramFile`] if a program of SUMO's cannot be written for it.
     pub fn new(home: &SumoHome, scenario: &Scenario, options: EnvOptions) -> Result<Self, SimError> {
         let (net, layout) = layout::read(scenario, &options.config)?;
-        // Any junction will do; the first by name is the same on every machine.
-        let anchor = net.junctions.keys().min().cloned().ok_or_else(|| net.without_junctions())?;
         let config = &options.config;
         let programs = ProgramFile::write(options.signals, &net, &layout)?;
         let mut env = Self {
             home: home.clone(),
             scenario: scenario.clone(),
-            anchor,
             signals: SignalTiming::new(&layout, config.decision_seconds, config.yellow_seconds),
             programs,
             lanes: LaneTable::new(&layout, f64::from(config.reward_range_metres)),
@@ -123,40 +120,47 @@ impl Env {
         &self.options
     }
 
-    /// Starts an episode with a SUMO of its own: every agent shows its phase 0, or what its program begins with, and no
-    /// vehicle is there yet. An episode that is still running is abandoned, its output files unfinished;
-    /// [`finish`](Self::finish) completes them.
+    /// Starts an episode: every agent shows its phase 0, or what its program begins with, and no vehicle is there yet. A
+    /// SUMO that is still running is used again, and ends what it was at; [`finish`](Self::finish) completes its output
+    /// files before this episode writes them anew.
     ///
     /// # Errors
     /// [`SimError::Traci`] if SUMO does not start or refuses the network's signals, [`SimError::ProgramNotRunning`] if it
     /// does not run the program it was given. The environment can be reset again.
     pub fn reset(&mut self, seed: u32) -> Result<(), SimError> {
-        self.simulation = None;
+        let running = self.simulation.take();
         self.steps = 0;
         self.time = f64::from(self.scenario.begin);
         self.lanes.clear();
         let begun = Instant::now();
-        let started = self.start(seed);
+        let started = self.start(running, seed);
         self.timings.sumo += begun.elapsed();
         self.simulation = Some(started?);
         self.look();
         Ok(())
     }
 
-    fn start(&mut self, seed: u32) -> Result<Simulation, SimError> {
+    /// Has a SUMO at the beginning of an episode, the `running` one if it can be.
+    fn start(&mut self, running: Option<Simulation>, seed: u32) -> Result<Simulation, SimError> {
         let programs = self.programs.as_ref().map(ProgramFile::path);
-        let mut simulation = Simulation::start(
-            &self.home,
-            &self.scenario,
-            &self.options,
-            programs.as_deref(),
-            seed,
-            &self.anchor,
-        )?;
+        let (scenario, options, programs) = (&self.scenario, &self.options, programs.as_deref());
+        let again = match running {
+            None => None,
+            Some(running) => running.restart(scenario, options, programs, seed).unwrap_or_else(|error| {
+                // It may have been killed since; what was asked for is a beginning, which another SUMO gives too.
+                tracing::warn!(scenario = %scenario.name, "starting another SUMO: {error}");
+                None
+            }),
+        };
+        let mut simulation = match again {
+            Some(simulation) => simulation,
+            None => Simulation::start(&self.home, scenario, options, programs, seed)?,
+        };
         let commands = self.signals.reset();
         match self.options.signals {
             Signals::Driven => {
                 simulation.show(commands.filter_map(|command| shown(&self.layout, command)))?;
+                simulation.settle()?;
             }
             Signals::Program(program) => {
                 drop(commands);
@@ -237,7 +241,10 @@ impl Env {
         if self.steps >= limit {
             return Err(SimError::EpisodeOver { steps: limit });
         }
-        if let Err(error) = self.carry_out(actions, observer) {
+        let begun = Instant::now();
+        let outcome = self.carry_out(actions, observer);
+        let stepping = self.simulation.as_mut().map_or(Duration::ZERO, Simulation::take_stepping);
+        if let Err(error) = outcome {
             if error.is_from_sumo() {
                 // Whatever state it is in, it is none that the episode could go on from.
                 self.simulation = None;
@@ -245,9 +252,9 @@ impl Env {
             return Err(error);
         }
         self.steps += 1;
-        let begun = Instant::now();
         self.look();
-        self.timings.traci += begun.elapsed();
+        self.timings.sumo += stepping;
+        self.timings.traci += begun.elapsed().saturating_sub(stepping);
         Ok(Step { rewards: &self.rewards, done: self.steps >= limit })
     }
 
@@ -257,7 +264,6 @@ impl Env {
         mut observer: Option<&mut dyn SecondObserver>,
     ) -> Result<(), SimError> {
         let Some(simulation) = &mut self.simulation else { return Err(SimError::NotRunning) };
-        let (lanes, timings) = (&mut self.lanes, &mut self.timings);
         let mut states = Vec::new();
         let (decided, passed) = match self.options.signals {
             Signals::Driven => (Some(self.signals.decide(actions)?), None),
@@ -265,34 +271,34 @@ impl Env {
                 (None, Some(Command::Run { seconds: self.options.config.decision_seconds }))
             }
         };
-        let commands = decided.into_iter().flatten().chain(passed);
-        if observer.is_some() {
-            timed(&mut timings.traci, || simulation.watch())?;
-        }
-        for command in commands {
+        for command in decided.into_iter().flatten().chain(passed) {
             let Command::Run { seconds } = command else {
                 states.extend(shown(&self.layout, command));
                 continue;
             };
-            timed(&mut timings.traci, || simulation.show(states.drain(..)))?;
+            simulation.show(states.drain(..))?;
             match &mut observer {
-                None => timed(&mut timings.sumo, || simulation.run(seconds))?,
+                None => simulation.run(seconds)?,
                 Some(observer) => {
                     for _ in 0..seconds {
-                        timed(&mut timings.sumo, || simulation.run(1))?;
-                        observe_second(simulation, lanes, timings, &mut **observer)?;
+                        if let Some(second) = simulation.watch(&mut self.lanes)? {
+                            observer.second(&view(second, &self.lanes));
+                        }
                     }
                 }
             }
         }
+        if let Some(observer) = &mut observer
+            && let Some(second) = simulation.watched(&mut self.lanes)?
+        {
+            observer.second(&view(second, &self.lanes));
+        }
         self.time = simulation.time();
         if let Signals::Program(program) = self.options.signals {
-            timed(&mut timings.traci, || {
-                programs::follow(program, simulation, &self.layout, &mut self.signals)
-            })?;
+            programs::follow(program, simulation, &self.layout, &mut self.signals)?;
         }
         if observer.is_none() {
-            timed(&mut timings.traci, || simulation.count(lanes))?;
+            simulation.count(&mut self.lanes)?;
         }
         Ok(())
     }
@@ -336,15 +342,10 @@ fn shown<'a>(layout: &'a NetworkLayout, command: Command<'a>) -> Option<simulati
     }
 }
 
-fn observe_second(
-    simulation: &mut Simulation,
-    lanes: &mut LaneTable,
-    timings: &mut Timings,
-    observer: &mut dyn SecondObserver,
-) -> Result<(), TraciError> {
-    let (traffic, events) = timed(&mut timings.traci, || simulation.count_second(lanes))?;
-    observer.second(&SecondView {
-        time: simulation.time(),
+fn view(second: Second, lanes: &LaneTable) -> SecondView<'_> {
+    let Second { time, traffic, events } = second;
+    SecondView {
+        time,
         lanes,
         running: traffic.running,
         mean_speed: traffic.mean_speed,
@@ -352,8 +353,7 @@ fn observe_second(
         departed: events.departed,
         teleports: events.teleports,
         waiting_to_enter: events.waiting_to_enter,
-    });
-    Ok(())
+    }
 }
 
 fn timed<T>(total: &mut Duration, work: impl FnOnce() -> T) -> T {

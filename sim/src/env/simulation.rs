@@ -1,25 +1,28 @@
 //! One running SUMO: shows signal states, lets time pass, reads the vehicles.
 //!
-//! SUMO evaluates a standing subscription after every simulated second, however many seconds one `simulationStep` command
-//! covers; for all vehicles of a grid that makes an episode half as long again. So there is one only while every second
-//! is watched. Otherwise all vehicles are subscribed to when they are wanted, which brings their values at once, and
-//! unsubscribed in the same message.
+//! What is shown and the seconds that pass go out together with the question at their end, and SUMO works through them
+//! without waiting for us. A decision is two round trips: how the network goes on and who is there then, and where each
+//! is.
+//!
+//! While every second is watched, a second is one round trip, because where the vehicles of a second were is asked along
+//! with the next second, and counted while SUMO simulates that:
+//!
+//! ```text
+//!   us     [where: s-1 | show | step s | who: s] ───────────────> count s-1            [where: s | step s+1 | who: s+1] ──>
+//!   SUMO                                answers "where", ── simulates s ── answers "who" ──>
+//! ```
 
 use super::EnvOptions;
 use super::arguments::arguments;
+use super::vehicles::{Traffic, Vehicles, saturating, unreadable};
 use crate::lanes::LaneTable;
 use crate::scenario::Scenario;
-use cross_traci::constants::{Domain, simulation, traffic_light, vehicle};
-use cross_traci::{
-    DecodeError, ExitReport, Object, Replies, Subscription, Sumo, SumoCommand, SumoHome, TraciError,
-};
+use cross_traci::constants::{Domain, simulation, traffic_light};
+use cross_traci::{ExitReport, Replies, Sumo, SumoCommand, SumoHome, TraciError};
 use std::path::Path;
+use std::time::Duration;
 
-/// Metres around the anchor junction within which vehicles are reported: no network reaches farther.
-const EVERYWHERE: f64 = 1e7;
-/// What is read of each vehicle.
-const VEHICLE: [u8; 3] = [vehicle::LANE_ID, vehicle::LANE_POSITION, vehicle::SPEED];
-/// What is read of the simulation while every second is watched; SUMO counts these over its last second only.
+/// What is read of the simulation at each watched second, behind the ids of the vehicles.
 const EVENTS: [u8; 4] = [
     simulation::ARRIVED_NUMBER,
     simulation::DEPARTED_NUMBER,
@@ -27,24 +30,23 @@ const EVENTS: [u8; 4] = [
     simulation::PENDING_VEHICLES,
 ];
 
+/// Simulations that one process loads after its first. No leak was found (docs/performance.md); this bounds one that a
+/// network might have.
+const MOST_LOADS: u32 = 200;
+
 /// A traffic light and the state it is to show.
 pub(super) type Shown<'a> = (&'a str, &'a str);
 
 #[derive(Debug)]
 pub(super) struct Simulation {
     sumo: Sumo,
-    /// Some junction, which the subscription to all vehicles is anchored at.
-    anchor: String,
+    vehicles: Vehicles,
     time: f64,
-    /// Whether vehicles and events are subscribed to for every second.
-    watching: bool,
-}
-
-/// Vehicles in the network at one moment.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Traffic {
-    pub(super) running: u32,
-    pub(super) mean_speed: f64,
+    loads: u32,
+    /// The watched second whose vehicles SUMO was asked for, the answer not being there yet.
+    asked: Option<(f64, Events)>,
+    /// Time spent waiting for SUMO to simulate, as far as it was told.
+    stepping: Duration,
 }
 
 /// What happened in the last second.
@@ -56,6 +58,15 @@ pub(super) struct Events {
     pub(super) waiting_to_enter: u32,
 }
 
+/// A second that was watched.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Second {
+    /// Simulated time at its end, seconds.
+    pub(super) time: f64,
+    pub(super) traffic: Traffic,
+    pub(super) events: Events,
+}
+
 impl Simulation {
     /// Starts SUMO at the scenario's begin, with a file of signal programs if there is one.
     pub(super) fn start(
@@ -64,11 +75,36 @@ impl Simulation {
         options: &EnvOptions,
         programs: Option<&Path>,
         seed: u32,
-        anchor: &str,
     ) -> Result<Self, TraciError> {
         let command = SumoCommand::new().args(arguments(scenario, options, programs, seed));
         let sumo = Sumo::start(home, &command, options.timeout)?;
-        Ok(Self { sumo, anchor: anchor.to_owned(), time: f64::from(scenario.begin), watching: false })
+        Ok(Self {
+            sumo,
+            vehicles: Vehicles::default(),
+            time: f64::from(scenario.begin),
+            loads: 0,
+            asked: None,
+            stepping: Duration::ZERO,
+        })
+    }
+
+    /// Begins anew in the same process, which is quicker than a new one: only files are read. `None` if this process has
+    /// done so often enough, or cannot be told the arguments.
+    pub(super) fn restart(
+        mut self,
+        scenario: &Scenario,
+        options: &EnvOptions,
+        programs: Option<&Path>,
+        seed: u32,
+    ) -> Result<Option<Self>, TraciError> {
+        let arguments = arguments(scenario, options, programs, seed);
+        let arguments: Option<Vec<&str>> = arguments.iter().map(|argument| argument.to_str()).collect();
+        let Some(arguments) = arguments.filter(|_| self.loads < MOST_LOADS) else { return Ok(None) };
+        self.sumo.client().load(&arguments)?;
+        self.time = f64::from(scenario.begin);
+        self.loads += 1;
+        self.asked = None;
+        Ok(Some(self))
     }
 
     /// Simulated time, seconds.
@@ -80,13 +116,27 @@ impl Simulation {
         self.sumo.pid()
     }
 
-    /// Shows states on several lights, in one message.
+    /// Time spent waiting for SUMO to simulate since this was asked last.
+    pub(super) fn take_stepping(&mut self) -> Duration {
+        let stepping = self.sumo.client().statistics().stepping;
+        stepping.saturating_sub(std::mem::replace(&mut self.stepping, stepping))
+    }
+
+    /// Has states shown on several lights before the next seconds pass.
     pub(super) fn show<'a>(&mut self, states: impl IntoIterator<Item = Shown<'a>>) -> Result<(), TraciError> {
         let mut batch = self.sumo.client().batch();
         for (light, state) in states {
             batch.set_traffic_light_state(light, state);
         }
-        batch.send()?;
+        batch.post()
+    }
+
+    /// Waits until SUMO has done all that it was told.
+    pub(super) fn settle(&mut self) -> Result<(), TraciError> {
+        let client = self.sumo.client();
+        while client.waiting() > 0 {
+            client.take()?;
+        }
         Ok(())
     }
 
@@ -103,44 +153,59 @@ impl Simulation {
         batch.send()
     }
 
-    /// Lets seconds pass in one command.
+    /// Has seconds pass, in one command.
     pub(super) fn run(&mut self, seconds: u32) -> Result<(), TraciError> {
         self.time += f64::from(seconds);
-        self.sumo.client().simulation_step(self.time)?;
-        Ok(())
+        self.sumo.client().post_step(self.time)
     }
 
     /// Counts the vehicles of this moment into a table, which is emptied first.
     pub(super) fn count(&mut self, lanes: &mut LaneTable) -> Result<Traffic, TraciError> {
-        let mut batch = self.sumo.client().batch();
-        batch.subscribe_context(Domain::Junction, &self.anchor, EVERYWHERE, Domain::Vehicle, &VEHICLE);
-        batch.subscribe_context(Domain::Junction, &self.anchor, EVERYWHERE, Domain::Vehicle, &[]);
-        // The second command also ends a subscription that `watch` left standing.
-        self.watching = false;
-        count(lanes, batch.send()?.subscription(0)?)
+        let client = self.sumo.client();
+        let mut batch = client.batch();
+        Vehicles::ask_who(&mut batch);
+        self.vehicles.are(batch.send()?.value(0)?.strings().map_err(unreadable)?);
+        self.vehicles.ask(client)?;
+        self.vehicles.count(client.take()?, lanes)
     }
 
-    /// Has every step from now on bring vehicles and events.
-    pub(super) fn watch(&mut self) -> Result<(), TraciError> {
-        if !self.watching {
-            let mut batch = self.sumo.client().batch();
-            batch.subscribe_context(Domain::Junction, &self.anchor, EVERYWHERE, Domain::Vehicle, &VEHICLE);
-            batch.subscribe(Domain::Simulation, "", &EVENTS);
-            batch.send()?;
-            self.watching = true;
+    /// Has one watched second pass, and gives the one before it if it was not given yet, its vehicles counted into a table.
+    pub(super) fn watch(&mut self, lanes: &mut LaneTable) -> Result<Option<Second>, TraciError> {
+        self.run(1)?;
+        let client = self.sumo.client();
+        let mut batch = client.batch();
+        Vehicles::ask_who(&mut batch);
+        for event in EVENTS {
+            batch.get(Domain::Simulation, event, "");
         }
-        Ok(())
+        batch.post()?;
+        let before = self.watched(lanes)?;
+        let client = self.sumo.client();
+        // What was shown, and the step.
+        while client.waiting() > 1 {
+            client.take()?;
+        }
+        let replies = client.take()?;
+        let events = events(replies)?;
+        self.vehicles.are(replies.value(0)?.strings().map_err(unreadable)?);
+        self.vehicles.ask(client)?;
+        client.flush()?;
+        self.asked = Some((self.time, events));
+        Ok(before)
     }
 
-    /// As [`count`](Self::count), from what a step of one second brought under [`watch`](Self::watch), and what happened
-    /// in that second.
-    pub(super) fn count_second(&mut self, lanes: &mut LaneTable) -> Result<(Traffic, Events), TraciError> {
-        let results = self.sumo.client().subscriptions();
-        let vehicles = results.find_context(Domain::Junction, &self.anchor, Domain::Vehicle);
-        let simulation = results.find(Domain::Simulation, "");
-        let missing = || unreadable(DecodeError::Type { expected: "a subscription", found: "none" });
-        let traffic = count(lanes, vehicles.ok_or_else(missing)?)?;
-        Ok((traffic, events(simulation.ok_or_else(missing)?).map_err(unreadable)?))
+    /// The last second that was [watched](Self::watch) if it was not given yet, its vehicles counted into a table.
+    pub(super) fn watched(&mut self, lanes: &mut LaneTable) -> Result<Option<Second>, TraciError> {
+        let Some((time, events)) = self.asked.take() else { return Ok(None) };
+        let client = self.sumo.client();
+        // Nothing was asked where nobody was.
+        let traffic = if self.vehicles.len() == 0 {
+            lanes.clear();
+            Traffic::default()
+        } else {
+            self.vehicles.count(client.take()?, lanes)?
+        };
+        Ok(Some(Second { time, traffic, events }))
     }
 
     /// Ends SUMO in order, so that its output files are complete.
@@ -149,51 +214,14 @@ impl Simulation {
     }
 }
 
-fn count(lanes: &mut LaneTable, vehicles: Subscription<'_>) -> Result<Traffic, TraciError> {
-    lanes.clear();
-    let mut speeds = 0.0;
-    for vehicle in vehicles.objects() {
-        speeds += count_vehicle(lanes, vehicle).map_err(unreadable)?;
-    }
-    let running = vehicles.len();
-    Ok(Traffic { running: saturating(running), mean_speed: speeds / running.max(1) as f64 })
-}
-
-/// Counts one vehicle and returns its speed.
-fn count_vehicle(lanes: &mut LaneTable, vehicle: Object<'_>) -> Result<f64, DecodeError> {
-    let (mut lane, mut position, mut speed) = ("", 0.0, 0.0);
-    for (variable, value) in vehicle.values() {
-        match variable {
-            vehicle::LANE_ID => lane = value.str()?,
-            vehicle::LANE_POSITION => position = value.double()?,
-            vehicle::SPEED => speed = value.double()?,
-            _ => {}
-        }
-    }
-    lanes.add(lane, position, speed);
-    Ok(speed)
-}
-
-fn events(simulation: Subscription<'_>) -> Result<Events, DecodeError> {
-    let mut events = Events::default();
-    for (variable, value) in simulation.objects().flat_map(|object| object.values()) {
-        let number = || value.int().map(|count| u32::try_from(count).unwrap_or(0));
-        match variable {
-            simulation::ARRIVED_NUMBER => events.arrived = number()?,
-            simulation::DEPARTED_NUMBER => events.departed = number()?,
-            simulation::TELEPORT_STARTING_NUMBER => events.teleports = number()?,
-            simulation::PENDING_VEHICLES => events.waiting_to_enter = saturating(value.strings()?.len()),
-            _ => {}
-        }
-    }
-    Ok(events)
-}
-
-fn unreadable(source: DecodeError) -> TraciError {
-    let command = "reading the traffic".to_owned();
-    TraciError::Protocol { command, source, evidence: Box::default() }
-}
-
-fn saturating(count: usize) -> u32 {
-    u32::try_from(count).unwrap_or(u32::MAX)
+/// Reads [`EVENTS`].
+fn events(replies: Replies<'_>) -> Result<Events, TraciError> {
+    let number = |index| replies.int(index).map(|count| u32::try_from(count).unwrap_or(0));
+    let waiting = replies.value(4)?.strings().map_err(unreadable)?;
+    Ok(Events {
+        arrived: number(1)?,
+        departed: number(2)?,
+        teleports: number(3)?,
+        waiting_to_enter: saturating(waiting.len()),
+    })
 }

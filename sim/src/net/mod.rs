@@ -121,10 +121,6 @@ impl Net {
         reader::parse(text, path)
     }
 
-    pub(crate) fn without_junctions(&self) -> NetError {
-        NetError::Content { path: self.path.clone(), what: "it has no junctions".to_owned() }
-    }
-
     /// The edge with this id.
     #[must_use]
     pub fn edge(&self, id: &str) -> Option<&Edge> {
