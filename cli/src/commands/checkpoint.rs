@@ -100,6 +100,13 @@ impl Checkpoint {
         let saved = self.saved()?;
         let run = saved.path();
         let (entries, latest) = saved.list()?;
+        if entries.is_empty() && matches!(saved, Saved::Store(_)) {
+            // A store has no empty folders: nothing tells a run without checkpoints from an address that is none.
+            return Err(Failure::input(format!(
+                "{} holds no checkpoint; name the URL that was given to --checkpoints",
+                run.display()
+            )));
+        }
         if self.json {
             let checkpoints: Vec<_> = entries
                 .iter()
