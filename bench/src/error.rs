@@ -79,6 +79,58 @@ pub enum BenchError {
         /// Records of the replay.
         bare: usize,
     },
+    /// The program of another client could not be started.
+    #[error("cannot start the program of {client}: {source}")]
+    ClientStart {
+        /// Which client.
+        client: String,
+        /// What went wrong.
+        source: std::io::Error,
+    },
+    /// The program of another client failed.
+    #[error("{client} ended with {status} in the middle of an episode, saying: {said}{sumo}")]
+    Client {
+        /// Which client.
+        client: String,
+        /// How it ended.
+        status: ExitStatus,
+        /// Its last line.
+        said: String,
+        /// What its SUMO said, as the end of a sentence.
+        sumo: String,
+    },
+    /// The program of another client is not the one that this program was built with.
+    #[error("{client} said {said:?}, which is no answer of its program; build it again")]
+    ClientAnswer {
+        /// Which client.
+        client: String,
+        /// What it said.
+        said: String,
+    },
+    /// What another client saw cannot be read.
+    #[error("line {line} of {} is no record of a vehicle; build the client's program again", path.display())]
+    Seen {
+        /// The file.
+        path: PathBuf,
+        /// The line.
+        line: usize,
+    },
+    /// Another client did not see what ours saw.
+    #[error(
+        "{client} did not see the same traffic: at decision {decision} it saw on {lane} {theirs} where ours saw {ours}; their times cannot be compared"
+    )]
+    OtherObservations {
+        /// Which client.
+        client: String,
+        /// The decision, counted from 1.
+        decision: usize,
+        /// The lane.
+        lane: String,
+        /// Our counts on it.
+        ours: String,
+        /// The client's.
+        theirs: String,
+    },
     /// No place for files.
     #[error("cannot make a temporary folder: {source}")]
     Folder {
@@ -101,4 +153,16 @@ pub enum BenchError {
         /// What went wrong.
         source: std::io::Error,
     },
+}
+
+impl BenchError {
+    /// A client's failure with what its SUMO said beside it.
+    pub(crate) fn beside(self, said: &str) -> Self {
+        match self {
+            Self::Client { client, status, said: own, .. } => {
+                Self::Client { client, status, said: own, sumo: format!("; beside it {said}") }
+            }
+            other => other,
+        }
+    }
 }

@@ -3,12 +3,15 @@
 //! One file or folder a benchmark; what they share is the report and a way to tell how far they are. `cross bench` is
 //! their command line.
 
+mod command_line;
+mod cost;
 pub mod env;
 pub mod error;
 pub mod memory;
 pub mod plain;
 pub mod progress;
 pub mod report;
+pub mod traci;
 pub mod update;
 
 pub use error::BenchError;

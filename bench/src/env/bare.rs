@@ -1,48 +1,25 @@
 //! SUMO alone: the same command line without a client, the signal plan as a file.
 
-use super::cost::{Cost, measured};
 use super::plan::Plan;
+use crate::command_line::{CLIENT, without};
+use crate::cost::{Cost, measured};
 use crate::error::BenchError;
 use cross_traci::SumoHome;
-use std::ffi::{OsStr, OsString};
-use std::os::unix::ffi::OsStrExt;
+use cross_traci::sumo::spawn_tied;
+use std::ffi::OsString;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 
-/// What only a client needs; each is followed by a value.
-const CLIENT: [&str; 2] = ["--remote-port", "--num-clients"];
 const ADDITIONAL: &str = "--additional-files";
 const TRIPS: &str = "--tripinfo-output";
 
-/// The arguments of a running process, as the kernel has them.
-pub(super) fn arguments(pid: u32) -> Result<Vec<OsString>, BenchError> {
-    let path = format!("/proc/{pid}/cmdline");
-    let bytes =
-        std::fs::read(&path).map_err(|source| BenchError::CommandLine { path: path.into(), source })?;
-    Ok(split(&bytes))
-}
-
-/// Arguments that each end with a zero byte; the first names the program.
-fn split(bytes: &[u8]) -> Vec<OsString> {
-    let bytes = bytes.strip_suffix(b"\0").unwrap_or(bytes);
-    bytes.split(|&byte| byte == 0).skip(1).map(|part| OsStr::from_bytes(part).to_owned()).collect()
-}
-
 /// The same run without a client, to `end`, with a file of signal programs and another file of trips.
 fn replayed(arguments: &[OsString], programs: &Path, trips: &Path, end: u32) -> Vec<OsString> {
-    let mut out = Vec::new();
+    let mut out = without(arguments, &[CLIENT[0], CLIENT[1], TRIPS, ADDITIONAL]);
     let mut additional = OsString::new();
-    let mut rest = arguments.iter();
-    while let Some(argument) = rest.next() {
-        let text = argument.to_str().unwrap_or_default();
-        if CLIENT.contains(&text) || text == TRIPS {
-            rest.next();
-        } else if text == ADDITIONAL {
-            additional.push(rest.next().map_or(OsStr::new(""), OsString::as_os_str));
-            additional.push(",");
-        } else {
-            out.push(argument.clone());
-        }
+    for pair in arguments.windows(2).filter(|pair| pair[0] == ADDITIONAL) {
+        additional.push(&pair[1]);
+        additional.push(",");
     }
     // SUMO runs the program that it loads last.
     additional.push(programs);
@@ -69,8 +46,10 @@ pub(super) fn replay(
     let arguments = replayed(arguments, &programs, trips, end);
     let mut command = Command::new(home.binary("sumo"));
     command.args(arguments).env("SUMO_HOME", home.path()).env("LC_ALL", "C");
-    command.stdin(Stdio::null()).stdout(Stdio::null());
-    let (output, cost) = measured(|| command.output().map_err(|source| BenchError::Sumo { source }))?;
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    // As our own SUMO is: whatever ends this process ends it.
+    let run = || spawn_tied(command).and_then(Child::wait_with_output);
+    let (output, cost) = measured(|| run().map_err(|source| BenchError::Sumo { source }))?;
     if !output.status.success() {
         let said = String::from_utf8_lossy(&output.stderr);
         let last = said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("nothing");
@@ -102,12 +81,6 @@ mod tests {
 
     fn words(text: &str) -> Vec<OsString> {
         text.split(' ').map(OsString::from).collect()
-    }
-
-    #[test]
-    fn the_kernels_form_of_a_command_line_is_read() {
-        assert_eq!(split(b"/bin/sumo\0-n\0a b.xml\0--x\0\0"), ["-n", "a b.xml", "--x", ""]);
-        assert_eq!(split(b""), Vec::<OsString>::new());
     }
 
     #[test]

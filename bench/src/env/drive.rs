@@ -1,7 +1,7 @@
 //! Our side: an episode through all that an actor does with it, but for sending.
 
-use super::bare;
-use super::cost::{Cost, measured};
+use crate::command_line;
+use crate::cost::{Cost, measured};
 use crate::error::BenchError;
 use cross_actor::recorder::{EpisodeHeader, Recorder};
 use cross_model::{ActMode, Policy};
@@ -54,7 +54,7 @@ pub(super) fn drive(
     let mut env = Env::new(home, scenario, options)?;
     let ((actions, arguments, encoded), cost) = measured(|| {
         env.reset(seed)?;
-        let arguments = env.sumo_pid().map_or_else(|| Ok(Vec::new()), bare::arguments)?;
+        let arguments = env.sumo_pid().map_or_else(|| Ok(Vec::new()), command_line::of_process)?;
         let (actions, encoded) = match driver {
             Driver::Rule(rule) => (by_rule(&mut env, rule, seed, None)?, None),
             Driver::Measured(rule) => {
@@ -76,7 +76,8 @@ pub(super) fn drive(
     Ok(Driven { cost, actions, arguments, encoded })
 }
 
-fn by_rule(
+/// An episode of the choices of a rule: `[steps][agents]`.
+pub(crate) fn by_rule(
     env: &mut Env,
     rule: &mut dyn Controller,
     seed: u32,

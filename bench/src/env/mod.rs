@@ -8,15 +8,14 @@
 //! Both write SUMO's record of trips, by which they are compared; a pair with other traffic is an error, not a ratio.
 
 mod bare;
-pub(crate) mod cost;
-mod drive;
+pub(crate) mod drive;
 mod inference;
 mod plan;
 
+use crate::cost::{self, Cost};
 use crate::error::BenchError;
 use crate::progress::Progress;
-use crate::report::{Better, Report, Row};
-use cost::Cost;
+use crate::report::{Report, Row};
 use cross_config::{Config, EnvConfig};
 use cross_model::{Policy, Trainer};
 use cross_sim::controller::RuleBased;
@@ -121,14 +120,7 @@ fn episodes(
         }
     }
     for (way, costs) in Way::ALL.into_iter().zip(&costs) {
-        for (unit, of) in [("wall", (|cost| cost.wall) as fn(&Cost) -> f64), ("CPU", |cost| cost.cpu)] {
-            // The pair whose ratio is the median: two medians of their own may stem from different minutes.
-            let mut pairs: Vec<(f64, f64)> = costs.iter().map(|(ours, bare)| (of(ours), of(bare))).collect();
-            pairs.sort_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
-            let Some(&(ours, bare)) = pairs.get((pairs.len().max(1) - 1) / 2) else { continue };
-            let case = format!("{}, {}, {unit}", scenario.name, way.name());
-            rows.push(Row::new(case, "s", Better::Lower, ours, (BARE, bare)));
-        }
+        cost::compare(&format!("{}, {}", scenario.name, way.name()), BARE, costs, rows);
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ mod export;
 
 pub use export::export;
 
-use crate::env::cost::measured;
+use crate::cost::measured;
 use crate::error::BenchError;
 use crate::memory;
 use crate::plain::PlainLearner;

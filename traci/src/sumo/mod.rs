@@ -6,7 +6,8 @@
 //!   environment  without the owner's secrets
 //!   spawn      fork, on a thread that never ends; the kernel kills the child when this process dies
 //!   listening  does that very child listen on that port?
-//!   start      all of it, again on another port if that one was taken; then the handshake
+//!   launch     all of it, again on another port if that one was taken
+//!   start      then the handshake        server     or somebody else's client
 //!   process    wait, kill, reap          output   the last lines it printed
 //! ```
 //!
@@ -23,14 +24,18 @@
 //! connection is gone, at the end of the current command.
 
 mod environment;
+mod launch;
 mod listening;
 mod locate;
 mod output;
 mod port;
 mod process;
+mod server;
 mod spawn;
 mod start;
 
 pub use locate::{LocateError, Origin, SumoHome};
 pub(crate) use process::Process;
+pub use server::SumoServer;
+pub use spawn::spawn as spawn_tied;
 pub use start::{ExitReport, Sumo, SumoCommand};

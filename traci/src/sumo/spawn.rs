@@ -18,8 +18,11 @@ struct Job {
 static FORKER: Mutex<Option<Sender<Job>>> = Mutex::new(None);
 
 /// Starts `command`, tied to this process's life and outside its process group, so that Ctrl-C reaches the owner only
-/// and the owner ends SUMO in order.
-pub(crate) fn spawn(mut command: Command) -> io::Result<Child> {
+/// and the owner ends SUMO in order. What else works for the owner, such as a client program, may be started so too.
+///
+/// # Errors
+/// What the operating system says: the program is not there, or no process can be started.
+pub fn spawn(mut command: Command) -> io::Result<Child> {
     tie(&mut command);
     let (done, outcome) = sync_channel(1);
     {

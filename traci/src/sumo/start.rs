@@ -1,21 +1,17 @@
 //! Starting SUMO and connecting to it.
 
 use super::SumoHome;
-use super::listening::listens;
+use super::launch::{Attempt, Words, launch, on_free_port};
 use super::port::PortReservation;
 use super::process::Process;
 use crate::client::Client;
 use crate::connection::Connection;
-use crate::error::{Evidence, TraciError};
+use crate::error::TraciError;
 use std::ffi::{OsStr, OsString};
-use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-
-/// Ports tried before a start is given up.
-const ATTEMPTS: usize = 5;
 
 /// Plain SUMO arguments. [`Sumo::start`] adds `--remote-port`, `--num-clients 1` and, unless it is given,
 /// `--no-step-log true`, since nobody reads the progress that SUMO prints each step.
@@ -70,7 +66,7 @@ impl SumoCommand {
             .any(|arg| arg.strip_prefix(option).is_some_and(|rest| rest.is_empty() || rest.starts_with('=')))
     }
 
-    fn command(&self, home: &SumoHome, port: u16) -> Command {
+    pub(super) fn command(&self, home: &SumoHome, port: u16) -> Command {
         let mut command = home.command("sumo");
         command.args(&self.args);
         command.arg("--remote-port").arg(port.to_string()).args(["--num-clients", "1"]);
@@ -151,19 +147,7 @@ impl Sumo {
             self.process.kill();
             return Err(error);
         }
-        let exit = self.process.wait(timeout.saturating_sub(begun.elapsed()));
-        let command = || "ending after close".to_owned();
-        let Some(status) = exit else {
-            let evidence = Box::new(self.process.evidence(Duration::ZERO));
-            self.process.kill();
-            return Err(TraciError::Timeout { command: command(), after: timeout, evidence });
-        };
-        let evidence = self.process.evidence(Duration::ZERO);
-        if !status.success() {
-            let detail = "it did not end well".to_owned();
-            return Err(TraciError::Crashed { command: command(), detail, evidence: Box::new(evidence) });
-        }
-        Ok(ExitReport { status, last_lines: evidence.last_lines, lines_dropped: evidence.lines_dropped })
+        ended(&self.process, timeout.saturating_sub(begun.elapsed()), timeout)
     }
 
     /// Ends SUMO at once, outputs unwritten, and reaps it.
@@ -178,12 +162,21 @@ impl Drop for Sumo {
     }
 }
 
-/// Why one attempt failed.
-enum Attempt {
-    /// Another port may help.
-    PortTaken,
-    /// Nothing will help.
-    Failed(TraciError),
+/// Waits for the end of a SUMO whose connection was closed, and kills it if it has not come when nothing is `left` of the
+/// `timeout`.
+pub(super) fn ended(process: &Process, left: Duration, timeout: Duration) -> Result<ExitReport, TraciError> {
+    let command = || "ending after close".to_owned();
+    let Some(status) = process.wait(left) else {
+        let evidence = Box::new(process.evidence(Duration::ZERO));
+        process.kill();
+        return Err(TraciError::Timeout { command: command(), after: timeout, evidence });
+    };
+    let evidence = process.evidence(Duration::ZERO);
+    if !status.success() {
+        let detail = "it did not end well".to_owned();
+        return Err(TraciError::Crashed { command: command(), detail, evidence: Box::new(evidence) });
+    }
+    Ok(ExitReport { status, last_lines: evidence.last_lines, lines_dropped: evidence.lines_dropped })
 }
 
 /// As [`Sumo::start`], with ports from `reserve`.
@@ -194,112 +187,43 @@ fn start_on(
     reserve: &mut dyn FnMut() -> std::io::Result<PortReservation>,
 ) -> Result<Sumo, TraciError> {
     let begun = Instant::now();
-    let spawn_error = |reason: String, evidence: Evidence| TraciError::Spawn {
-        binary: home.binary("sumo"),
-        reason,
-        evidence: Box::new(evidence),
-    };
-    for attempt in 1..=ATTEMPTS {
-        let reservation = reserve()
-            .map_err(|error| spawn_error(format!("no free TCP port: {error}"), Evidence::default()))?;
-        let left = timeout.saturating_sub(begun.elapsed());
-        match try_port(home, command, &reservation, left, timeout) {
-            Ok(sumo) => {
-                tracing::debug!(pid = sumo.pid(), port = sumo.port, took = ?begun.elapsed(), "SUMO started");
-                return Ok(sumo);
-            }
-            Err(Attempt::Failed(error)) => return Err(error),
-            Err(Attempt::PortTaken) => {
-                tracing::debug!(port = reservation.port(), attempt, "port taken, trying another");
-            }
-        }
-    }
-    Err(spawn_error(format!("{ATTEMPTS} free ports were taken before it could listen"), Evidence::default()))
+    let sumo =
+        on_free_port(home, timeout, reserve, |port, left| try_port(home, command, port, left, timeout))?;
+    tracing::debug!(pid = sumo.pid(), port = sumo.port, took = ?begun.elapsed(), "SUMO started");
+    Ok(sumo)
 }
 
 fn try_port(
     home: &SumoHome,
     command: &SumoCommand,
-    reservation: &PortReservation,
+    port: u16,
     left: Duration,
     timeout: Duration,
 ) -> Result<Sumo, Attempt> {
     let begun = Instant::now();
-    let port = reservation.port();
-    let binary = home.binary("sumo");
-    let process = Process::start(command.command(home, port)).map_err(|error| {
-        let (reason, evidence) = (error.to_string(), Box::default());
-        Attempt::Failed(TraciError::Spawn { binary: binary.clone(), reason, evidence })
-    })?;
-    let process = Arc::new(process);
-    let ended = |reason: &str, evidence: Evidence| {
-        if port_taken(&evidence) {
-            return Attempt::PortTaken;
-        }
-        let reason = match (evidence.exit_code(), evidence.signal()) {
-            (Some(code), _) => format!("{reason} with exit code {code}"),
-            (None, Some(signal)) => format!("{reason} by signal {signal}"),
-            (None, None) => reason.to_owned(),
-        };
-        Attempt::Failed(TraciError::Spawn { binary: binary.clone(), reason, evidence: Box::new(evidence) })
-    };
-
-    let late = |evidence: Evidence| {
-        let (command, evidence) = ("its start".to_owned(), Box::new(evidence));
-        Attempt::Failed(TraciError::Timeout { command, after: timeout, evidence })
-    };
-
-    let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
-    let mut pause = Duration::from_millis(1);
-    let connection = loop {
-        // Where the system does not tell who listens, connecting has to tell whether somebody does. There is one
-        // connection only: SUMO takes the first for its client.
-        if listens(process.pid(), port) != Some(false)
-            && let Ok(connection) = Connection::connect(address, left.saturating_sub(begun.elapsed()))
-        {
-            break connection;
-        }
-        if process.exit().is_some() {
-            return Err(ended("it ended before it listened", process.evidence(Duration::ZERO)));
-        }
-        if begun.elapsed() >= left {
-            return Err(late(process.evidence(Duration::ZERO)));
-        }
-        std::thread::sleep(pause);
-        pause = (pause * 2).min(Duration::from_millis(8));
-    };
-    // On a port that was taken it is not SUMO who accepts, and SUMO has ended or is about to.
-    if process.exit().is_some() {
-        return Err(ended("it ended before it listened", process.evidence(Duration::ZERO)));
-    }
-
+    let words = Words { binary: home.binary("sumo"), timeout };
+    let connect = |address, left| Connection::connect(address, left).ok();
+    let (process, connection) = launch(command.command(home, port), port, left, &words, connect)?;
     let left = left.saturating_sub(begun.elapsed());
     match Client::attach(connection, left, timeout, Some(Arc::clone(&process))) {
         Ok(client) => Ok(Sumo { process, client, port }),
-        Err(TraciError::Crashed { evidence, .. }) => Err(ended("it ended while loading", *evidence)),
-        Err(TraciError::Timeout { evidence, .. }) if evidence.exit.is_none() => Err(late(*evidence)),
+        Err(TraciError::Crashed { evidence, .. }) => Err(words.ended("it ended while loading", *evidence)),
+        Err(TraciError::Timeout { evidence, .. }) if evidence.exit.is_none() => Err(words.late(*evidence)),
         Err(error) => match error.evidence() {
             Some(evidence) if evidence.exit.is_some() => {
-                Err(ended("it ended while loading", evidence.clone()))
+                Err(words.ended("it ended while loading", evidence.clone()))
             }
             _ => Err(Attempt::Failed(error)),
         },
     }
 }
 
-/// Whether SUMO ended because it could not listen.
-fn port_taken(evidence: &Evidence) -> bool {
-    evidence.exit.is_some()
-        && evidence.last_lines.iter().any(|line| {
-            line.contains("Address already in use") || line.contains("Unable to create listening socket")
-        })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::error::ErrorKind;
-    use std::net::TcpListener;
+    use crate::sumo::launch::ATTEMPTS;
+    use std::net::{Ipv4Addr, TcpListener};
 
     fn home() -> SumoHome {
         SumoHome::locate(None).expect("run `make build` first")

@@ -1,11 +1,10 @@
 //! `cross bench env`.
 
+use super::episodes::Episodes;
 use crate::failure::{Failure, OrBadInput, Outcome};
-use crate::sumo::SumoOption;
 use clap::Args;
 use cross_bench::{Progress, Report, env};
 use cross_learner::checkpoint::reader;
-use cross_sim::scenario::Scenario;
 use std::path::PathBuf;
 
 /// Episodes through the actor's whole path beside SUMO alone, and the policy's decision beside libtorch's
@@ -25,25 +24,15 @@ Examples:
 
 SUMO's time grows with the vehicles on the road: a fresh policy makes jams, in which the rest hardly counts.")]
 pub(crate) struct Env {
-    /// Network to simulate; repeatable
-    #[arg(long, value_name = "NAME", default_values = ["grid4x4", "grid5x5"])]
-    scenario: Vec<String>,
     /// Weights that choose: a run directory, a checkpoint or a policy file; fresh ones without it
     #[arg(long, value_name = "PATH")]
     policy: Option<PathBuf>,
-    /// SUMO's seed
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(0..=0x7fff_ffff))]
-    seed: u32,
-    /// Repetitions of each pair
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    repeats: u32,
     #[command(flatten)]
-    sumo: SumoOption,
+    episodes: Episodes,
 }
 
 impl Env {
     pub(super) fn run(&self, progress: Progress<'_>) -> Outcome<Report> {
-        let load = |name: &String| Scenario::load(name).or_bad_input();
         let weights = match &self.policy {
             Some(path) if !path.exists() => {
                 return Err(Failure::input(format!("there is no policy {}", path.display())));
@@ -52,11 +41,11 @@ impl Env {
             None => None,
         };
         let options = env::Options {
-            home: self.sumo.locate()?,
-            scenarios: self.scenario.iter().map(load).collect::<Outcome<_>>()?,
+            home: self.episodes.sumo.locate()?,
+            scenarios: self.episodes.scenarios()?,
             weights,
-            seed: self.seed,
-            repeats: self.repeats,
+            seed: self.episodes.seed,
+            repeats: self.episodes.repeats,
         };
         Ok(env::run(&options, progress)?)
     }

@@ -1,6 +1,8 @@
 //! `cross bench`: speed, beside a baseline on the same machine.
 
 mod env;
+mod episodes;
+mod traci;
 mod update;
 
 use crate::failure::Outcome;
@@ -18,6 +20,7 @@ use std::process::ExitCode;
 Examples:
   cross bench update            a PPO update: packed as it runs, and padded as the paper writes it
   cross bench env               episodes and decisions: the actor's whole path, and SUMO alone
+  cross bench traci             episodes: our TraCI client, the crate traci-rs, Python's traci
   cross bench update --json     the same as one JSON document
 
 The column `times better` is above 1 where ours is better, whichever direction of the figure is good.
@@ -35,6 +38,7 @@ pub(crate) struct Bench {
 enum Command {
     Update(update::Update),
     Env(env::Env),
+    Traci(traci::Traci),
 }
 
 impl Bench {
@@ -43,6 +47,7 @@ impl Bench {
         let report = match &self.command {
             Command::Update(command) => command.run(&progress)?,
             Command::Env(command) => Some(command.run(&progress)?),
+            Command::Traci(command) => Some(command.run(&progress)?),
         };
         match report {
             Some(report) if self.json => output::json(&report)?,

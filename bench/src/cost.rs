@@ -1,6 +1,7 @@
 //! Wall and CPU time, SUMO's included.
 
 use crate::error::BenchError;
+use crate::report::{Better, Row};
 use std::io::{Error, ErrorKind};
 use std::path::Path;
 use std::time::Instant;
@@ -26,6 +27,23 @@ pub(crate) fn measured<T>(work: impl FnOnce() -> Result<T, BenchError>) -> Resul
     let after = cpu()?;
     let [own_cpu, children] = [after[0] - before[0], after[1] - before[1]];
     Ok((result, Cost { wall, cpu: own_cpu + children, own_cpu }))
+}
+
+/// Adds a row of wall time and one of CPU time, each of the pair of ours and the baseline's whose ratio is the median.
+pub(crate) fn compare(case: &str, baseline: &str, pairs: &[(Cost, Cost)], rows: &mut Vec<Row>) {
+    for (unit, of) in [("wall", (|cost| cost.wall) as fn(&Cost) -> f64), ("CPU", |cost| cost.cpu)] {
+        let pairs = pairs.iter().map(|(ours, theirs)| (of(ours), of(theirs))).collect();
+        if let Some((ours, theirs)) = middle_pair(pairs) {
+            rows.push(Row::new(format!("{case}, {unit}"), "s", Better::Lower, ours, (baseline, theirs)));
+        }
+    }
+}
+
+/// Of pairs of ours and a baseline's the one whose ratio is the median: two medians of their own may stem from different
+/// minutes. Of the middle two of an even number the one that is worse for us; none where there is no pair.
+fn middle_pair(mut pairs: Vec<(f64, f64)>) -> Option<(f64, f64)> {
+    pairs.sort_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
+    pairs.get(pairs.len() / 2).copied()
 }
 
 /// Seconds of CPU of this process, and of its children that ended.
@@ -67,5 +85,12 @@ mod tests {
         })
         .unwrap();
         assert!(cost.cpu > cost.own_cpu && cost.wall > 0.0, "{cost:?}");
+    }
+
+    #[test]
+    fn the_pair_of_the_median_ratio_is_one_that_was_measured() {
+        assert_eq!(middle_pair(vec![(3.0, 1.0), (1.0, 1.0), (4.0, 2.0)]), Some((4.0, 2.0)));
+        assert_eq!(middle_pair(vec![(2.0, 2.0), (1.0, 2.0)]), Some((2.0, 2.0)));
+        assert_eq!(middle_pair(vec![]), None);
     }
 }
