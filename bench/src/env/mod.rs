@@ -9,7 +9,7 @@
 
 mod bare;
 pub(crate) mod cost;
-mod drive;
+pub(crate) mod drive;
 mod inference;
 mod plan;
 
@@ -167,6 +167,6 @@ fn pair(
 }
 
 /// A snapshot of fresh weights.
-fn snapshot(config: &Config) -> Result<Vec<u8>, BenchError> {
+pub(crate) fn snapshot(config: &Config) -> Result<Vec<u8>, BenchError> {
     Ok(Trainer::new(config, Vec::new())?.snapshot()?)
 }

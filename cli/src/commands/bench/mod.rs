@@ -1,12 +1,16 @@
 //! `cross bench`: speed, beside a baseline on the same machine.
 
+mod bare;
 mod env;
+mod ingest;
+mod live;
 mod update;
+mod weights;
 
 use crate::failure::Outcome;
 use crate::output;
-use crate::train::progress::say;
 use clap::{Args, Subcommand};
+use live::Live;
 use std::process::ExitCode;
 
 /// Measures how fast parts of CROSS are, each beside a baseline in the same run
@@ -18,6 +22,8 @@ use std::process::ExitCode;
 Examples:
   cross bench update            a PPO update: packed as it runs, and padded as the paper writes it
   cross bench env               episodes and decisions: the actor's whole path, and SUMO alone
+  cross bench ingest            fragments of a thousand actors: one learner, and a bare gRPC stream
+  cross bench weights           new weights to a thousand watchers, likewise
   cross bench update --json     the same as one JSON document
 
 The column `times better` is above 1 where ours is better, whichever direction of the figure is good.
@@ -35,15 +41,27 @@ pub(crate) struct Bench {
 enum Command {
     Update(update::Update),
     Env(env::Env),
+    Ingest(ingest::Ingest),
+    Weights(weights::Weights),
+    #[command(hide = true)]
+    Bare(bare::Bare),
 }
 
 impl Bench {
     pub(crate) fn run(&self) -> Outcome<ExitCode> {
-        let progress = |line: &str| say(line);
+        let live = Live::start();
+        let progress = |line: &str| live.tell(line);
         let report = match &self.command {
             Command::Update(command) => command.run(&progress)?,
             Command::Env(command) => Some(command.run(&progress)?),
+            Command::Ingest(command) => Some(command.run(&progress)?),
+            Command::Weights(command) => Some(command.run(&progress)?),
+            Command::Bare(command) => {
+                command.run()?;
+                None
+            }
         };
+        drop(live);
         match report {
             Some(report) if self.json => output::json(&report)?,
             Some(report) => output::text(&report.table())?,
