@@ -68,11 +68,10 @@ pub(crate) enum Attempt {
 }
 
 /// The endpoint of an address as typed, with the patience that an actor has.
-pub(crate) fn endpoint(
-    learner: &str,
-    security: &ClientSecurity,
-    insecure: bool,
-) -> Result<Endpoint, ActorError> {
+///
+/// # Errors
+/// [`ActorError::Option`] or [`ActorError::Security`] if it cannot be used.
+pub fn endpoint(learner: &str, security: &ClientSecurity, insecure: bool) -> Result<Endpoint, ActorError> {
     let endpoint = security.endpoint(learner, insecure).map_err(|error| match error {
         SecurityError::Address { address, problem } => {
             ActorError::Option { option: "--learner", problem: format!("is {address:?}, which {problem}") }

@@ -28,6 +28,7 @@ pub mod uplink;
 mod weights;
 
 pub use error::ActorError;
+pub use join::endpoint;
 pub use options::Options;
 pub use session::Ending;
 pub use telemetry::Telemetry;

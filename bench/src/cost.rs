@@ -46,10 +46,19 @@ fn middle_pair(mut pairs: Vec<(f64, f64)>) -> Option<(f64, f64)> {
     pairs.get(pairs.len() / 2).copied()
 }
 
+/// Seconds of CPU of another process so far, to 0.01 s.
+pub(crate) fn cpu_of(pid: u32) -> Result<f64, BenchError> {
+    Ok(read(Path::new(&format!("/proc/{pid}/stat")))?[0])
+}
+
 /// Seconds of CPU of this process, and of its children that ended.
 fn cpu() -> Result<[f64; 2], BenchError> {
-    let wrong = |source| BenchError::CpuTime { path: Path::new(STAT).to_owned(), source };
-    let text = std::fs::read_to_string(STAT).map_err(wrong)?;
+    read(Path::new(STAT))
+}
+
+fn read(path: &Path) -> Result<[f64; 2], BenchError> {
+    let wrong = |source| BenchError::CpuTime { path: path.to_owned(), source };
+    let text = std::fs::read_to_string(path).map_err(wrong)?;
     let ticks =
         ticks(&text).ok_or_else(|| wrong(Error::new(ErrorKind::InvalidData, "it has another form")))?;
     let second = rustix::param::clock_ticks_per_second() as f64;

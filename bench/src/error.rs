@@ -5,6 +5,8 @@ use cross_model::ModelError;
 use cross_sim::SimError;
 use cross_sim::controller::ControllerError;
 use cross_sim::metrics::TripInfoError;
+use cross_support::child::{ChildError, Exit};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitStatus;
 
@@ -18,7 +20,7 @@ pub enum BenchError {
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// A figure of this process that the kernel should tell.
-    #[error("cannot read the peak memory from {}; this benchmark needs Linux with /proc mounted: {source}", path.display())]
+    #[error("cannot read the memory from {}; this benchmark needs Linux with /proc mounted: {source}", path.display())]
     Memory {
         /// File of the kernel.
         path: PathBuf,
@@ -152,6 +154,146 @@ pub enum BenchError {
         path: PathBuf,
         /// What went wrong.
         source: std::io::Error,
+    },
+    /// A server could not be started.
+    #[error(transparent)]
+    Child(#[from] ChildError),
+    /// No threads or sockets.
+    #[error("cannot set up threads or sockets: {source}")]
+    Runtime {
+        /// What went wrong.
+        source: std::io::Error,
+    },
+    /// Somebody asked to stop.
+    #[error("stopped by a signal before the end; nothing of it is left")]
+    Stopped,
+    /// So many clients do not fit.
+    #[error(
+        "{clients} clients need {needed} open files and this process may have {allowed}; raise the hard limit (ulimit -Hn, LimitNOFILE), or measure with fewer"
+    )]
+    OpenFiles {
+        /// Clients at a time.
+        clients: usize,
+        /// Files for them and for the server's side.
+        needed: usize,
+        /// The limit.
+        allowed: u64,
+    },
+    /// A server did not come up.
+    #[error("{server} did not serve within {seconds} s of its start; the machine is too busy to measure")]
+    NotReady {
+        /// Which.
+        server: &'static str,
+        /// How long it was waited for.
+        seconds: u64,
+    },
+    /// A server went away.
+    #[error("{server} {exit} while it was measured, its last words: {said}")]
+    ServerEnded {
+        /// Which.
+        server: &'static str,
+        /// How.
+        exit: Exit,
+        /// The last line of its log.
+        said: String,
+    },
+    /// The baseline cannot serve.
+    #[error("the bare server cannot serve: {source}")]
+    BareServer {
+        /// What went wrong.
+        source: tonic::transport::Error,
+    },
+    /// A server's address that is none.
+    #[error(transparent)]
+    Address {
+        /// What is wrong with it.
+        source: Box<cross_actor::ActorError>,
+    },
+    /// No connection.
+    #[error("cannot connect to {address}: {source}")]
+    Connect {
+        /// `host:port`.
+        address: String,
+        /// What went wrong.
+        source: tonic::transport::Error,
+    },
+    /// A call failed.
+    #[error("the call {call} failed ({code}): {problem}")]
+    Call {
+        /// Method.
+        call: &'static str,
+        /// The status's sentence.
+        problem: String,
+        /// The status's code.
+        code: tonic::Code,
+    },
+    /// The learner's counters.
+    #[error("cannot read the learner's metrics at {address}: {source}")]
+    Metrics {
+        /// Its metrics port.
+        address: SocketAddr,
+        /// What went wrong.
+        source: std::io::Error,
+    },
+    /// A fragment that was refused or dropped: then what is measured is not what it says.
+    #[error("the learner answered a fragment with {outcome} where it should have accepted it")]
+    NotAccepted {
+        /// As the wire names it.
+        outcome: &'static str,
+    },
+    /// An acknowledgement of nothing in flight.
+    #[error(
+        "the learner acknowledged a fragment twice, or one that it was not sent: episode {episode}, sequence {sequence}"
+    )]
+    AcknowledgedTwice {
+        /// Its episode.
+        episode: u64,
+        /// Its position there.
+        sequence: u32,
+    },
+    /// Counts of both sides that differ.
+    #[error(
+        "{sent} fragments were sent and {acknowledged} acknowledged, but the learner counts {counted} accepted"
+    )]
+    Miscounted {
+        /// By the simulated actors.
+        sent: u64,
+        /// To them.
+        acknowledged: u64,
+        /// By the learner's own metrics.
+        counted: u64,
+    },
+    /// Somebody was left out.
+    #[error("{waiting} of {clients} clients did not get {what} within {seconds} s")]
+    Unserved {
+        /// How many.
+        waiting: usize,
+        /// Of how many.
+        clients: usize,
+        /// What they waited for.
+        what: &'static str,
+        /// How long.
+        seconds: u64,
+    },
+    /// A version that was encoded more than once.
+    #[error("the learner encoded {encoded} snapshots for {versions} versions; it should be one for each")]
+    Encodings {
+        /// By its own metric.
+        encoded: u64,
+        /// Versions that came.
+        versions: u64,
+    },
+    /// A snapshot that did not come through.
+    #[error("a snapshot came damaged: {problem}")]
+    Snapshot {
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The training that was to be looked at.
+    #[error("the training cannot be looked at: {problem}")]
+    Training {
+        /// What it did.
+        problem: String,
     },
 }
 

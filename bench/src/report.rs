@@ -119,6 +119,17 @@ fn figure(value: f64) -> String {
     format!("{value:.digits$}")
 }
 
+/// What a share of the values does not exceed: 0.5 the middle one, 0.99 all but the highest hundredth. Not a number where
+/// there is none.
+#[must_use]
+pub fn quantile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    // A share below 1 of a length is an index, whatever is cut off.
+    let at = (sorted.len() as f64 * share) as usize;
+    sorted.get(at.min(sorted.len().saturating_sub(1))).copied().unwrap_or(f64::NAN)
+}
+
 /// The middle value; of an even number, the mean of the middle two. Not a number where there is none.
 #[must_use]
 pub fn median(values: &[f64]) -> f64 {
@@ -175,5 +186,15 @@ mod tests {
         assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
         assert_eq!(median(&[4.0, 1.0, 2.0, 3.0]), 2.5);
         assert!(median(&[]).is_nan());
+    }
+
+    #[test]
+    fn quantiles_of_a_thousand() {
+        let values: Vec<f64> = (0..1000).map(f64::from).collect();
+        assert_eq!(
+            (quantile(&values, 0.5), quantile(&values, 0.99), quantile(&values, 1.0)),
+            (500.0, 990.0, 999.0)
+        );
+        assert!(quantile(&[], 0.5).is_nan());
     }
 }

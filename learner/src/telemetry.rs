@@ -27,6 +27,7 @@ pub struct Telemetry {
     checkpoint_fallbacks: Counter,
     upload_failures: [(&'static str, Counter); StoreTrouble::LABELS.len()],
     log_failures: Counter,
+    snapshots: Counter,
     policy_version: Gauge,
     lag: [Gauge; 3],
     actors: Gauge,
@@ -89,6 +90,7 @@ impl Telemetry {
                     (reason, counter!("cross_learner_checkpoint_upload_failures_total", "reason" => reason))
                 }),
                 log_failures: counter!("cross_learner_metrics_log_failures_total"),
+                snapshots: counter!("cross_learner_snapshots_encoded_total"),
                 policy_version: gauge!("cross_learner_policy_version"),
                 lag: [lag("min"), lag("mean"), lag("max")],
                 actors: gauge!("cross_learner_actors"),
@@ -147,9 +149,17 @@ impl Telemetry {
         });
     }
 
-    /// The version that is published from now on.
-    pub fn published(&self, policy_version: u64) {
+    /// Weights were encoded, once for all who watch.
+    pub fn encoded(&self) {
+        self.snapshots.increment(1);
+    }
+
+    /// The version that is published from now on, `time` in seconds since 1970.
+    pub fn published(&self, policy_version: u64, time: f64) {
         self.policy_version.set(policy_version as f64);
+        metrics::with_local_recorder(&*self.recorder, || {
+            gauge!("cross_learner_published_timestamp_seconds").set(time);
+        });
     }
 
     /// How far a round's data was behind.
@@ -296,6 +306,14 @@ fn describe() {
         "cross_learner_metrics_log_failures_total",
         "Lines of metrics.jsonl that could not be written"
     );
+    describe_gauge!(
+        "cross_learner_published_timestamp_seconds",
+        "When the newest version of the weights was published, seconds since 1970"
+    );
+    describe_counter!(
+        "cross_learner_snapshots_encoded_total",
+        "Snapshots encoded for publication, each once for all who watch"
+    );
     describe_gauge!("cross_learner_policy_version", "Newest published version of the weights");
     describe_gauge!("cross_learner_policy_lag_versions", "Versions that the last round's data was behind");
     describe_gauge!("cross_learner_actors", "Actors with a lease");
@@ -350,7 +368,8 @@ mod tests {
         };
         telemetry.placed(Placement::CPU);
         telemetry.updated(0.3, &stats);
-        telemetry.published(2);
+        telemetry.encoded();
+        telemetry.published(2, 1_750_000_001.25);
         telemetry.checkpointed(0.1);
         let before = telemetry.render();
         assert!(!before.contains("checkpoint_timestamp_seconds "), "no checkpoint has no time, not 1970");
@@ -368,6 +387,8 @@ mod tests {
             &build,
             "cross_learner_updates_total 1",
             "cross_learner_policy_version 2",
+            "cross_learner_snapshots_encoded_total 1",
+            "cross_learner_published_timestamp_seconds 1750000001.25",
             "cross_learner_update_seconds_bucket{",
             "cross_learner_loss{term=\"actor_clip\"} 0.5",
             "cross_learner_fragments_total{scenario=\"grid4x4\",outcome=\"accepted\"} 0",

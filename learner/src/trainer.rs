@@ -12,7 +12,9 @@ use crate::publish::Published;
 use crate::telemetry::Telemetry;
 use cross_config::Config;
 use cross_model::{ModelError, Trainer, UpdateStats};
+use cross_proto::fragment::Checked;
 use cross_sim::layout::NetworkLayout;
+use cross_sim::trajectory::Fragment;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
@@ -157,9 +159,11 @@ impl Worker {
     fn update(&mut self, round: Round, sumo: String, reports: &mpsc::Sender<Report>) -> Sent {
         let begun = Instant::now();
         let collect_seconds = (begun - self.idle_since).as_secs_f64();
+        // Here and not before: while they wait their counts are packed.
+        let fragments: Vec<Fragment> = round.fragments.into_iter().map(Checked::unpack).collect();
         let result = self
             .trainer
-            .update(&round.fragments)
+            .update(&fragments)
             .and_then(|stats| self.snapshot().map(|published| (stats, published)));
         let update_seconds = begun.elapsed().as_secs_f64();
         self.idle_since = Instant::now();
@@ -211,7 +215,9 @@ impl Worker {
     /// The present weights, encoded for all watchers. The coordinator publishes them, not this thread: an actor must not
     /// hold a version that admission has not heard of.
     fn snapshot(&self) -> Result<Arc<Published>, ModelError> {
-        Ok(Published::new(self.trainer.policy_version(), self.trainer.snapshot()?))
+        let published = Published::new(self.trainer.policy_version(), self.trainer.snapshot()?);
+        self.setup.telemetry.encoded();
+        Ok(published)
     }
 
     fn checkpoint(&mut self, last: bool) -> Report {

@@ -1,12 +1,14 @@
 //! Fragments on the wire, and the check that each passes before the learner sees it.
 //!
-//! [`decode`] trusts nothing: what it returns has every array of the right size, every number finite and every index
-//! within the layout, so that no code behind it needs to ask again.
+//! [`check`] trusts nothing: what it returns has every array of the right size, every number finite and every index
+//! within the layout, so that no code behind it needs to ask again. Counts stay packed until somebody works with them:
+//! unpacked they are nine tenths of a fragment, and a learner may hold thousands.
 
 use crate::{Violation, ids::ActorId, packing, v1};
 use cross_config::Config;
 use cross_sim::layout::NetworkLayout;
 use cross_sim::trajectory::{Fragment, FragmentEnd, FragmentId, RecurrentState};
+use std::ops::Deref;
 use std::sync::Arc;
 
 /// How far above 0 a log-probability may be: the rounding of a float32 log-softmax.
@@ -98,13 +100,59 @@ impl From<FragmentEnd> for v1::FragmentEnd {
     }
 }
 
+/// A fragment that has passed [`check`], with its counts still packed.
+///
+/// It reads as the [`Fragment`] that it will be, but for `counts`, which are empty until [`unpack`](Self::unpack).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Checked {
+    rest: Fragment,
+    packed: Box<[u8]>,
+    /// How many counts that is.
+    packed_counts: usize,
+}
+
+impl Checked {
+    /// The whole fragment.
+    #[must_use]
+    pub fn unpack(self) -> Fragment {
+        let Self { rest, packed, packed_counts } = self;
+        let counts = packing::unpack(&packed, packed_counts)
+            .expect("bytes that `check` has read to their end, or that `pack` wrote, unpack");
+        Fragment { counts, ..rest }
+    }
+}
+
+impl Deref for Checked {
+    type Target = Fragment;
+
+    fn deref(&self) -> &Fragment {
+        &self.rest
+    }
+}
+
+/// A fragment of this process's own needs no check.
+impl From<Fragment> for Checked {
+    fn from(mut fragment: Fragment) -> Self {
+        let counts = std::mem::take(&mut fragment.counts);
+        Self { rest: fragment, packed: packing::pack(&counts).into(), packed_counts: counts.len() }
+    }
+}
+
 /// Checks every field of a received fragment and unpacks it.
+///
+/// # Errors
+/// As [`check`].
+pub fn decode(message: v1::Fragment, spec: &FragmentSpec) -> Result<Fragment, Violation> {
+    Ok(check(message, spec)?.unpack())
+}
+
+/// Checks every field of a received fragment.
 ///
 /// Whether the fragment is wanted (session, episode, duplicate, staleness) is for the caller to decide.
 ///
 /// # Errors
 /// The first [`Violation`], its field named from `fragment.` on.
-pub fn decode(message: v1::Fragment, spec: &FragmentSpec) -> Result<Fragment, Violation> {
+pub fn check(message: v1::Fragment, spec: &FragmentSpec) -> Result<Checked, Violation> {
     ActorId::parse(&message.actor_id, "fragment.actor_id")?;
     if message.scenario != spec.scenario {
         return Err(violation(
@@ -131,14 +179,14 @@ pub fn decode(message: v1::Fragment, spec: &FragmentSpec) -> Result<Fragment, Vi
     check_floats("rewards", &message.rewards, steps, &spec.layout)?;
     check_log_probs(&message.log_probs, &spec.layout)?;
     check_rewards(&message.rewards, &spec.layout)?;
-    let counts = packing::unpack(&message.counts, (steps + 1) * spec.counts_per_step())
-        .map_err(|error| violation("counts", error.to_string()))?;
+    let counts = (steps + 1) * spec.counts_per_step();
+    packing::check(&message.counts, counts).map_err(|error| violation("counts", error.to_string()))?;
     let state = if message.first_step == 0 { 0 } else { agents * spec.hidden };
     let recurrent = RecurrentState {
         actor: floats_from_bytes("actor_state", &message.actor_state, state, message.first_step)?,
         critic: floats_from_bytes("critic_state", &message.critic_state, state, message.first_step)?,
     };
-    Ok(Fragment {
+    let rest = Fragment {
         id: FragmentId {
             actor: message.actor_id,
             session_epoch: message.session_epoch,
@@ -150,14 +198,16 @@ pub fn decode(message: v1::Fragment, spec: &FragmentSpec) -> Result<Fragment, Vi
         policy_version: message.policy_version,
         first_step: message.first_step,
         steps: message.steps,
-        counts,
+        counts: Vec::new(),
         phases: message.phases.into(),
         actions: message.actions.into(),
         log_probs: message.log_probs,
         rewards: message.rewards,
         recurrent,
         end,
-    })
+    };
+    // A copy: what it is a part of, the buffer of a whole message or several, must not stay for its sake.
+    Ok(Checked { rest, packed: message.counts.as_ref().into(), packed_counts: counts })
 }
 
 /// The number of steps, once it and its place in the episode are possible.

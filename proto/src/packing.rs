@@ -12,6 +12,8 @@
 //! An odd number of codes is filled up with a 0. The number of counts is not written: the receiver knows it from the
 //! layout and the number of steps, and refuses bytes that hold more or fewer.
 
+mod automaton;
+
 /// Largest count that is its own code.
 const MAX_DIRECT: u16 = 13;
 const RUN: u8 = 14;
@@ -77,12 +79,75 @@ pub fn pack(counts: &[u16]) -> Vec<u8> {
 /// # Errors
 /// [`PackingError`] if the bytes hold fewer or more counts, or were not written by [`pack`]'s rules.
 pub fn unpack(bytes: &[u8], expected: usize) -> Result<Vec<u16>, PackingError> {
-    // The densest form is a run: one byte for MAX_RUN counts.
-    if bytes.len().saturating_mul(MAX_RUN) < expected {
+    if is_too_short(bytes, expected) {
         return Err(PackingError::TooShort { expected });
     }
-    let mut reader = Reader { bytes, next: 0 };
-    let mut counts = Vec::with_capacity(expected);
+    let mut counts = Unpacked(Vec::with_capacity(expected));
+    read(bytes, expected, &mut counts)?;
+    Ok(counts.0)
+}
+
+/// Whether [`unpack`] would give exactly `expected` counts; takes no memory, and a fraction of the time.
+///
+/// # Errors
+/// As [`unpack`].
+pub fn check(bytes: &[u8], expected: usize) -> Result<(), PackingError> {
+    if automaton::holds(bytes, expected) {
+        return Ok(());
+    }
+    if is_too_short(bytes, expected) {
+        return Err(PackingError::TooShort { expected });
+    }
+    read(bytes, expected, &mut Counted(0))
+}
+
+/// Whether there are too few bytes for the densest form, a run: one byte for [`MAX_RUN`] counts.
+fn is_too_short(bytes: &[u8], expected: usize) -> bool {
+    bytes.len().saturating_mul(MAX_RUN) < expected
+}
+
+/// What becomes of counts that are read.
+trait Sink {
+    /// How many there are so far.
+    fn len(&self) -> usize;
+    fn one(&mut self, count: u16);
+    fn zeros(&mut self, zeros: usize);
+}
+
+struct Unpacked(Vec<u16>);
+
+impl Sink for Unpacked {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn one(&mut self, count: u16) {
+        self.0.push(count);
+    }
+
+    fn zeros(&mut self, zeros: usize) {
+        self.0.resize(self.0.len() + zeros, 0);
+    }
+}
+
+struct Counted(usize);
+
+impl Sink for Counted {
+    fn len(&self) -> usize {
+        self.0
+    }
+
+    fn one(&mut self, _: u16) {
+        self.0 += 1;
+    }
+
+    fn zeros(&mut self, zeros: usize) {
+        self.0 += zeros;
+    }
+}
+
+fn read(bytes: &[u8], expected: usize, counts: &mut impl Sink) -> Result<(), PackingError> {
+    let mut reader = Reader { bytes: bytes.iter(), high: None };
     while counts.len() < expected {
         match reader.get().ok_or(PackingError::TooShort { expected })? {
             RUN => {
@@ -91,7 +156,7 @@ pub fn unpack(bytes: &[u8], expected: usize) -> Result<Vec<u16>, PackingError> {
                 if zeros > expected - counts.len() {
                     return Err(PackingError::TooLong { expected });
                 }
-                counts.resize(counts.len() + zeros, 0);
+                counts.zeros(zeros);
             }
             WIDE => {
                 let mut value = 0;
@@ -102,17 +167,16 @@ pub fn unpack(bytes: &[u8], expected: usize) -> Result<Vec<u16>, PackingError> {
                 if value <= MAX_DIRECT {
                     return Err(PackingError::NotWide { value });
                 }
-                counts.push(value);
+                counts.one(value);
             }
-            direct => counts.push(u16::from(direct)),
+            direct => counts.one(u16::from(direct)),
         }
     }
     // At most the filling half byte may be left, and it is 0.
-    let filling = reader.next % 2 == 1;
-    if (filling && reader.get() != Some(0)) || reader.get().is_some() {
+    if reader.high.is_some_and(|filling| filling != 0) || !reader.bytes.as_slice().is_empty() {
         return Err(PackingError::TooLong { expected });
     }
-    Ok(counts)
+    Ok(())
 }
 
 struct Writer {
@@ -132,17 +196,19 @@ impl Writer {
 }
 
 struct Reader<'a> {
-    bytes: &'a [u8],
-    /// Index of the next code.
-    next: usize,
+    bytes: std::slice::Iter<'a, u8>,
+    /// The second half of the byte whose first half was read last.
+    high: Option<u8>,
 }
 
 impl Reader<'_> {
     fn get(&mut self) -> Option<u8> {
-        let byte = *self.bytes.get(self.next / 2)?;
-        let code = (byte >> (4 * (self.next % 2))) & 0xf;
-        self.next += 1;
-        Some(code)
+        if let Some(high) = self.high.take() {
+            return Some(high);
+        }
+        let byte = *self.bytes.next()?;
+        self.high = Some(byte >> 4);
+        Some(byte & 0xf)
     }
 }
 
@@ -160,6 +226,7 @@ mod tests {
     proptest! {
         #[test]
         fn round_trip(counts in counts()) {
+            prop_assert_eq!(check(&pack(&counts), counts.len()), Ok(()));
             prop_assert_eq!(unpack(&pack(&counts), counts.len()), Ok(counts));
         }
 
@@ -188,8 +255,27 @@ mod tests {
 
         #[test]
         fn garbage_gives_the_asked_number_or_an_error(bytes: Vec<u8>, expected in 0..2000_usize) {
-            if let Ok(counts) = unpack(&bytes, expected) {
+            let unpacked = unpack(&bytes, expected);
+            prop_assert_eq!(check(&bytes, expected), unpacked.clone().map(drop));
+            if let Ok(counts) = unpacked {
                 prop_assert_eq!(counts.len(), expected);
+            }
+        }
+    }
+
+    /// Bytes of codes that are mostly runs and wide counts, right and wrong.
+    fn odd_bytes() -> impl Strategy<Value = Vec<u8>> {
+        let half = prop_oneof![3 => Just(0_u8), 3 => Just(RUN), 3 => Just(WIDE), 2 => 0..16_u8];
+        proptest::collection::vec((half.clone(), half).prop_map(|(low, high)| low | high << 4), 0..12)
+    }
+
+    proptest! {
+        #[test]
+        fn the_automaton_takes_exactly_what_unpacks(bytes in odd_bytes()) {
+            for expected in 0..200 {
+                let unpacked = unpack(&bytes, expected);
+                prop_assert_eq!(automaton::holds(&bytes, expected), unpacked.is_ok(), "{} {:?}", expected, unpacked);
+                prop_assert_eq!(check(&bytes, expected), unpacked.map(drop));
             }
         }
     }

@@ -226,7 +226,9 @@ fn a_sumo_killed_between_episodes_is_replaced_and_costs_nothing() {
     let mut env = env("cologne1");
     let wanted = episode(&mut env, 1, None);
     let first = env.sumo_pid().unwrap();
-    assert!(std::process::Command::new("kill").args(["-KILL", &first.to_string()]).status().unwrap().success());
+    assert!(
+        std::process::Command::new("kill").args(["-KILL", &first.to_string()]).status().unwrap().success()
+    );
     assert_eq!(episode(&mut env, 1, None), wanted);
     assert_ne!(env.sumo_pid(), Some(first));
 }

@@ -8,10 +8,12 @@
 //!                                   places: how many, patience: silent for how long
 //!   problem      what a failed handshake means, in words
 //!   open_files   how many connections fit
+//!   child        processes that are started and end with this one
 //! ```
 //! It knows nothing of traffic, learning or libtorch. Secrets are held in types that do not print them.
 
 pub mod admin;
+pub mod child;
 pub mod client;
 mod error;
 pub mod files;
@@ -23,8 +25,8 @@ mod pem;
 mod places;
 pub mod problem;
 mod process;
-mod threads;
 pub mod server;
+mod threads;
 pub mod token;
 
 pub use error::SecurityError;

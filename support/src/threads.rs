@@ -49,8 +49,7 @@ impl Seen {
 
     fn by_name(&self) -> BTreeMap<&str, u64> {
         let mut sums: BTreeMap<&str, u64> = BTreeMap::new();
-        let ended = self.ended.iter().map(|(name, ticks)| (name, ticks));
-        for (name, ticks) in self.alive.values().map(|(name, ticks)| (name, ticks)).chain(ended) {
+        for (name, ticks) in self.alive.values().map(|(name, ticks)| (name, ticks)).chain(&self.ended) {
             let known = sums.contains_key(name.as_str()) || sums.len() < MOST_NAMES;
             *sums.entry(if known { name } else { OTHERS }).or_default() += ticks;
         }

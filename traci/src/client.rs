@@ -393,7 +393,8 @@ impl Client {
         }
         self.outbox.post().map_err(|source| {
             let command = describe_message(self.outbox.written());
-            let error = TraciError::Protocol { command, source, evidence: gather(self.process.as_ref(), false) };
+            let error =
+                TraciError::Protocol { command, source, evidence: gather(self.process.as_ref(), false) };
             self.fail(error)
         })
     }

@@ -66,7 +66,7 @@ impl Connection {
     /// Receives the next answer, whose body is then in [`body`](Self::body); `last` if none is to follow it.
     pub(crate) fn receive(&mut self, last: bool, timeout: Duration) -> Result<(), Fault> {
         let deadline = Instant::now().checked_add(timeout);
-        while !self.received.next().map_err(Fault::Protocol)? {
+        while !self.received.advance().map_err(Fault::Protocol)? {
             if !self.take()? {
                 self.wait(PollFlags::IN, deadline)?;
             } else if deadline.is_some_and(|deadline| deadline <= Instant::now()) {

@@ -11,7 +11,7 @@ const LEAST: usize = 1 << 14;
 /// A buffer for messages that come one after another, of which one is looked at. Kept between messages, so that steady
 /// traffic does not allocate.
 #[derive(Debug, Default)]
-pub(crate) struct Intake {
+pub struct Intake {
     buffer: Vec<u8>,
     /// The message that is looked at, its length included; everything before it is done with.
     current: Range<usize>,
@@ -24,7 +24,7 @@ impl Intake {
     ///
     /// # Errors
     /// [`DecodeError::Length`] for a declared length that cannot be.
-    pub(crate) fn next(&mut self) -> Result<bool, DecodeError> {
+    pub fn advance(&mut self) -> Result<bool, DecodeError> {
         self.forget();
         match frame(&self.buffer[self.current.start..self.filled], MAX_MESSAGE)? {
             Frame::Complete { length } => {
@@ -36,7 +36,7 @@ impl Intake {
     }
 
     /// Forgets the message that is looked at.
-    pub(crate) fn forget(&mut self) {
+    pub fn forget(&mut self) {
         self.current.start = self.current.end;
         if self.current.start == self.filled {
             self.current = 0..0;
@@ -48,7 +48,7 @@ impl Intake {
     ///
     /// # Errors
     /// [`DecodeError::Length`] for a declared length that cannot be.
-    pub(crate) fn space(&mut self) -> Result<&mut [u8], DecodeError> {
+    pub fn space(&mut self) -> Result<&mut [u8], DecodeError> {
         let missing = match frame(&self.buffer[self.current.end..self.filled], MAX_MESSAGE)? {
             Frame::NeedMore(missing) => missing.clamp(LEAST, GROWTH),
             Frame::Complete { .. } => LEAST,
@@ -68,17 +68,17 @@ impl Intake {
     }
 
     /// So many bytes were put where [`space`](Self::space) said.
-    pub(crate) fn took(&mut self, count: usize) {
+    pub fn took(&mut self, count: usize) {
         self.filled = (self.filled + count).min(self.buffer.len());
     }
 
     /// The message that is looked at, without its length.
-    pub(crate) fn body(&self) -> &[u8] {
+    pub fn body(&self) -> &[u8] {
         self.buffer.get(self.current.start + 4..self.current.end).unwrap_or_default()
     }
 
     /// Bytes that came behind the message that is looked at.
-    pub(crate) fn behind(&self) -> usize {
+    pub fn behind(&self) -> usize {
         self.filled - self.current.end
     }
 }
@@ -95,7 +95,7 @@ mod tests {
     fn feed(intake: &mut Intake, mut bytes: &[u8], most: usize) -> Result<Vec<usize>, DecodeError> {
         let mut bodies = Vec::new();
         loop {
-            while intake.next()? {
+            while intake.advance()? {
                 assert!(intake.body().iter().all(|&byte| byte == 7));
                 bodies.push(intake.body().len());
             }
@@ -129,7 +129,7 @@ mod tests {
         let first = message(20);
         intake.space().unwrap()[..20].copy_from_slice(&first);
         intake.took(20);
-        assert!(intake.next().unwrap());
+        assert!(intake.advance().unwrap());
         for _ in 0..10 {
             let more = message(LEAST);
             intake.space().unwrap()[..LEAST].copy_from_slice(&more);

@@ -95,6 +95,7 @@ pub use client::{Client, Statistics};
 pub use codec::DecodeError;
 pub use constants::Domain;
 pub use error::{ErrorKind, Evidence, TraciError};
+pub use intake::Intake;
 pub use read::SimulationState;
 pub use recorded::Recorded;
 pub use subscription::{Object, Objects, Subscription, SubscriptionResults};

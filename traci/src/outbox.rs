@@ -70,7 +70,8 @@ impl Outbox {
     pub(crate) fn post(&mut self) -> Result<(), DecodeError> {
         let bytes = self.open.bytes.start..self.bytes.len();
         let declared = i32::try_from(bytes.len()).ok().filter(|_| bytes.len() <= MAX_MESSAGE);
-        let (Some(declared), Some(header)) = (declared, self.bytes[bytes.start..].first_chunk_mut::<4>()) else {
+        let (Some(declared), Some(header)) = (declared, self.bytes[bytes.start..].first_chunk_mut::<4>())
+        else {
             let declared = i64::try_from(bytes.len()).unwrap_or(i64::MAX);
             return Err(DecodeError::Length { declared, limit: MAX_MESSAGE });
         };
@@ -133,9 +134,9 @@ impl Commands<'_> {
 
     /// Whether the message is a `simulationStep`: one command of ten bytes, its id behind its length.
     pub(crate) fn is_step(&self) -> bool {
-        self.starts.first().is_some_and(|&start| {
-            self.bytes.get(start..start + 2) == Some(&[10, command::SIMULATION_STEP])
-        })
+        self.starts
+            .first()
+            .is_some_and(|&start| self.bytes.get(start..start + 2) == Some(&[10, command::SIMULATION_STEP]))
     }
 }
 

@@ -41,7 +41,10 @@ fn what_is_posted_happens_in_order_as_if_it_was_waited_for() {
     }
     assert!(who(&mut posting).len() > 20);
     let (one, other) = (waiting.client().statistics(), posting.client().statistics());
-    assert_eq!((one.messages, one.commands + 1, one.bytes_sent), (other.messages - 1, other.commands, one.bytes_sent));
+    assert_eq!(
+        (one.messages, one.commands + 1, one.bytes_sent),
+        (other.messages - 1, other.commands, one.bytes_sent)
+    );
 }
 
 #[test]

@@ -66,8 +66,9 @@ pub(super) fn drive(
                 (actions, None)
             }
             Driver::Policy(policy, steps) => {
-                let (actions, bytes) = by_policy(&mut env, policy, steps, seed)?;
-                (actions, Some(bytes))
+                let mut bytes = 0;
+                let mut encode = |fragment: v1::Fragment| bytes += fragment.encode_to_vec().len();
+                (by_policy(&mut env, policy, steps, seed, &mut encode)?, Some(bytes))
             }
         };
         env.finish()?;
@@ -108,12 +109,15 @@ pub(crate) fn by_rule(
     }
 }
 
-fn by_policy(
+/// An episode that a policy steers, sampling; `finished` gets its fragments as they go over the wire. Returns the actions,
+/// `[steps][agents]`.
+pub(crate) fn by_policy(
     env: &mut Env,
     policy: &mut Policy,
     fragment_steps: u32,
     seed: u32,
-) -> Result<(Vec<Vec<u8>>, usize), BenchError> {
+    finished: &mut dyn FnMut(v1::Fragment),
+) -> Result<Vec<Vec<u8>>, BenchError> {
     let header = EpisodeHeader {
         actor: "bench".to_owned(),
         session_epoch: 1,
@@ -125,7 +129,7 @@ fn by_policy(
     let mut rng = ChaCha8Rng::seed_from_u64(u64::from(seed));
     policy.begin_episode(&env.layout().clone())?;
     recorder.begin_fragment(policy.version(), policy.recurrent_state());
-    let (mut chosen, mut encoded) = (Vec::new(), 0);
+    let mut chosen = Vec::new();
     loop {
         let decision = policy.act(env.observation(), ActMode::Sample(&mut rng))?;
         recorder.decide(env.observation(), &decision);
@@ -136,11 +140,11 @@ fn by_policy(
         if done || recorder.is_full() {
             let end = if done { FragmentEnd::Truncated } else { FragmentEnd::Continues };
             let fragment = recorder.finish_fragment(env.observation(), end);
-            encoded += v1::Fragment::from(&fragment).encode_to_vec().len();
+            finished(v1::Fragment::from(&fragment));
             recorder.begin_fragment(policy.version(), policy.recurrent_state());
         }
         if done {
-            return Ok((chosen, encoded));
+            return Ok(chosen);
         }
     }
 }

@@ -159,6 +159,6 @@ fn pair(
 }
 
 /// A snapshot of fresh weights.
-fn snapshot(config: &Config) -> Result<Vec<u8>, BenchError> {
+pub(crate) fn snapshot(config: &Config) -> Result<Vec<u8>, BenchError> {
     Ok(Trainer::new(config, Vec::new())?.snapshot()?)
 }

@@ -3,12 +3,12 @@
 use crate::failure::Outcome;
 use crate::output;
 use crate::sumo::SumoOption;
-use crate::train::sibling;
 use clap::Args;
 use cross_config::{Config, LearnerConfig};
 use cross_model::Abilities;
 use cross_sim::layout::load_layout;
 use cross_sim::scenario::{self, Scenario};
+use cross_support::child::sibling;
 use cross_support::open_files;
 use cross_traci::sumo::{Sumo, SumoCommand, SumoHome};
 use serde::Serialize;

@@ -3,7 +3,7 @@
 //! ```text
 //!   preflight ── everything that can be refused is refused before a process starts
 //!   run_dir ──── config.toml, lock
-//!   run ──────── the loop: supervise (rules) + process (children) + watch (signals, status) + progress (display)
+//!   run ──────── the loop: supervise (rules) + cross_support::child (processes) + watch (signals, status) + progress (display)
 //!   closing ──── evaluation beside Fixed-Time and Max-Pressure, result.json, curves.svg
 //! ```
 
@@ -11,11 +11,8 @@ mod backoff;
 pub(crate) mod closing;
 mod curves;
 pub(crate) mod preflight;
-mod process;
 pub(crate) mod progress;
 pub(crate) mod run;
 pub(crate) mod run_dir;
 mod supervise;
 pub(crate) mod watch;
-
-pub(crate) use process::sibling;

@@ -1,12 +1,12 @@
 //! What is checked before a process starts: everything that would otherwise fail a minute later, in a log.
 
 use crate::failure::{Failure, OrBadInput, Outcome};
-use crate::train::sibling;
 use cross_config::Config;
 use cross_model::Placement;
 use cross_model::features::NetworkSpec;
 use cross_sim::layout::load_layout;
 use cross_sim::scenario::Scenario;
+use cross_support::child::sibling;
 use cross_traci::sumo::SumoHome;
 
 /// A machine and a configuration that fit each other.

@@ -1,13 +1,13 @@
 //! The loop of `cross train`: owns the processes, carries out what the supervisor decides, shows how it goes.
 
 use super::backoff::Backoff;
-use super::process::{Process, sibling};
 use super::progress::Progress;
 use super::run_dir::RunDir;
 use super::supervise::{Cause, Command, Ending, Event, Limits, Supervisor};
 use super::watch::Watch;
 use crate::failure::{Failure, Outcome};
 use cross_proto::v1::training_status::Phase;
+use cross_support::child::{Process, sibling};
 use std::ffi::OsString;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};

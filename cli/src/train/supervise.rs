@@ -10,24 +10,8 @@
 //! The loop that owns the processes ([`super::run`]) carries commands out and reports back; times are since its start.
 
 use super::backoff::{Backoff, InVain};
-use std::fmt;
+use cross_support::child::Exit;
 use std::time::Duration;
-
-/// How a process ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Exit {
-    Code(i32),
-    Signal(i32),
-}
-
-impl fmt::Display for Exit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Code(code) => write!(f, "ended with exit code {code}"),
-            Self::Signal(signal) => write!(f, "was killed by signal {signal}"),
-        }
-    }
-}
 
 /// What [`Command::StopLearner`] does to a learner that does not listen for signals yet.
 const SIGTERM: Exit = Exit::Signal(15);

@@ -64,22 +64,37 @@ pub(super) fn replies(input: &[u8]) -> Outcome {
     Outcome::of(&read)
 }
 
-/// The first byte says in what pieces the rest comes from a socket; the message is then read as the answer to a step.
+/// The first byte says in what pieces the rest comes from a socket; each message is then read as the answer to a step.
 pub(super) fn stream(input: &[u8]) -> Outcome {
     let Some((&piece, mut rest)) = input.split_first() else { return Outcome::Refused };
     let mut intake = Intake::default();
+    let mut recorded = Recorded::new(&COMMANDS[1]).unwrap_or_default();
+    let mut outcome = Outcome::Refused;
     loop {
-        match intake.wanted() {
+        match intake.advance() {
             Err(error) => {
                 sentence(&error);
                 return Outcome::Refused;
             }
-            Ok(None) => break,
-            Ok(Some(space)) => {
-                assert!(!space.is_empty(), "an incomplete message needs room");
+            Ok(true) => {
+                outcome = Outcome::of(&recorded.read(intake.body()).map(drop));
+                for subscription in recorded.subscriptions().iter() {
+                    walk_subscription(&subscription);
+                }
+                continue;
+            }
+            Ok(false) => {}
+        }
+        match intake.space() {
+            Err(error) => {
+                sentence(&error);
+                return Outcome::Refused;
+            }
+            Ok(space) => {
+                assert!(!space.is_empty(), "what is to come needs room");
                 let count = space.len().min(usize::from(piece) + 1).min(rest.len());
                 if count == 0 {
-                    return Outcome::Refused;
+                    return outcome;
                 }
                 space[..count].copy_from_slice(&rest[..count]);
                 rest = &rest[count..];
@@ -87,12 +102,6 @@ pub(super) fn stream(input: &[u8]) -> Outcome {
             }
         }
     }
-    let mut recorded = Recorded::new(&COMMANDS[1]).unwrap_or_default();
-    let read = recorded.read(intake.body()).map(drop);
-    for subscription in recorded.subscriptions().iter() {
-        walk_subscription(&subscription);
-    }
-    Outcome::of(&read)
 }
 
 /// Reads all there is in a value.

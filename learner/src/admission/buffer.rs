@@ -8,16 +8,17 @@
 
 use super::journal;
 use super::types::{Dropped, Lag, Outcome};
-use cross_sim::trajectory::{Fragment, FragmentId};
+use cross_proto::fragment::Checked;
+use cross_sim::trajectory::FragmentId;
 use std::collections::{BTreeMap, VecDeque};
 
 /// Waiting and inserted fragments of a scenario, and its counters.
 #[derive(Debug, Default)]
 pub(super) struct ScenarioBuffer {
-    inserted: VecDeque<Fragment>,
+    inserted: VecDeque<Checked>,
     inserted_steps: u64,
     /// Received, but not inserted while the buffer is full: their acknowledgements are what holds actors back.
-    waiting: VecDeque<Fragment>,
+    waiting: VecDeque<Checked>,
     /// Fragments offered, by what became of them.
     pub(super) outcomes: BTreeMap<Outcome, u64>,
     /// Fragments dropped after they were received.
@@ -60,18 +61,18 @@ impl ScenarioBuffer {
         !self.waiting.is_empty()
     }
 
-    pub(super) fn insert(&mut self, fragment: Fragment) {
+    pub(super) fn insert(&mut self, fragment: Checked) {
         journal::accepted(&fragment);
         self.inserted_steps += u64::from(fragment.steps);
         self.inserted.push_back(fragment);
     }
 
-    pub(super) fn wait(&mut self, fragment: Fragment) {
+    pub(super) fn wait(&mut self, fragment: Checked) {
         self.waiting.push_back(fragment);
     }
 
     /// Takes the first waiting fragment that satisfies the condition.
-    pub(super) fn next_waiting(&mut self, wanted: impl Fn(&Fragment) -> bool) -> Option<Fragment> {
+    pub(super) fn next_waiting(&mut self, wanted: impl Fn(&Checked) -> bool) -> Option<Checked> {
         let at = self.waiting.iter().position(wanted)?;
         self.waiting.remove(at)
     }
@@ -115,7 +116,7 @@ impl ScenarioBuffer {
 
     /// Drops inserted data of a version below `oldest`, and returns the waiting fragments that are too old as well: their
     /// senders are still to be told.
-    pub(super) fn drop_stale(&mut self, oldest: u64) -> Vec<Fragment> {
+    pub(super) fn drop_stale(&mut self, oldest: u64) -> Vec<Checked> {
         self.drop_inserted(Dropped::Stale, |f| f.policy_version < oldest);
         let (stale, fresh): (VecDeque<_>, VecDeque<_>) =
             std::mem::take(&mut self.waiting).into_iter().partition(|f| f.policy_version < oldest);
@@ -123,7 +124,7 @@ impl ScenarioBuffer {
         stale.into()
     }
 
-    fn drop_inserted(&mut self, reason: Dropped, condition: impl Fn(&Fragment) -> bool) {
+    fn drop_inserted(&mut self, reason: Dropped, condition: impl Fn(&Checked) -> bool) {
         let before = self.inserted.len();
         self.inserted.retain(|f| {
             let kept = !condition(f);
@@ -140,7 +141,7 @@ impl ScenarioBuffer {
     }
 
     /// Moves the oldest fragments into the round until it holds `wanted` steps of this scenario; returns the steps moved.
-    pub(super) fn take(&mut self, wanted: u64, round: &mut Vec<Fragment>) -> u64 {
+    pub(super) fn take(&mut self, wanted: u64, round: &mut Vec<Checked>) -> u64 {
         let mut taken = 0;
         while taken < wanted
             && let Some(fragment) = self.inserted.pop_front()
@@ -154,7 +155,7 @@ impl ScenarioBuffer {
 }
 
 /// Lag of a round's fragments behind a version.
-pub(super) fn lag(fragments: &[Fragment], policy_version: u64) -> Lag {
+pub(super) fn lag(fragments: &[Checked], policy_version: u64) -> Lag {
     let lags = || fragments.iter().map(|f| policy_version.saturating_sub(f.policy_version));
     let steps: u64 = fragments.iter().map(|f| u64::from(f.steps)).sum();
     let weighted: f64 = lags().zip(fragments).map(|(lag, f)| lag as f64 * f64::from(f.steps)).sum();

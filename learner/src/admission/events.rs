@@ -4,7 +4,8 @@ use super::Admission;
 use super::buffer::Taken;
 use super::journal;
 use super::types::{CloseReason, Command, Dropped, Outcome, StreamId};
-use cross_sim::trajectory::{Fragment, FragmentEnd, FragmentId};
+use cross_proto::fragment::Checked;
+use cross_sim::trajectory::{FragmentEnd, FragmentId};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -46,15 +47,15 @@ impl Admission {
 
     /// A valid fragment arrives. It is acknowledged by a command, now or (buffer full, or serial mode) later; a fragment
     /// of a stream that has been closed is ignored without an answer, as its actor will send it again.
-    pub fn offer(&mut self, now: Duration, stream: StreamId, fragment: Fragment) -> Vec<Command> {
+    pub fn offer(&mut self, now: Duration, stream: StreamId, fragment: impl Into<Checked>) -> Vec<Command> {
         if let Some(actor) = self.heard(now, stream) {
-            self.consider(&actor, stream, fragment);
+            self.consider(&actor, stream, fragment.into());
             self.pump();
         }
         self.take_commands()
     }
 
-    fn consider(&mut self, actor: &str, stream: StreamId, fragment: Fragment) {
+    fn consider(&mut self, actor: &str, stream: StreamId, fragment: Checked) {
         let (episode, sequence) = (fragment.id.episode, fragment.id.sequence);
         let scenario = self.scenario(&fragment.scenario);
         if fragment.id.session_epoch != self.settings.session_epoch {
@@ -125,7 +126,7 @@ impl Admission {
     }
 
     /// A fragment that continues the actor's episode: counts it towards the episode and keeps it unless it is stale.
-    fn admit(&mut self, actor: &str, stream: StreamId, scenario: usize, fragment: Fragment) {
+    fn admit(&mut self, actor: &str, stream: StreamId, scenario: usize, fragment: Checked) {
         let stale = self.is_stale(fragment.policy_version);
         let Some(known) = self.actors.get_mut(actor) else { return };
         let Some(mut episode) = known.episode.take() else { return };

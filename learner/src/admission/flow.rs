@@ -60,7 +60,7 @@ impl Admission {
         }
     }
 
-    fn insert(&mut self, scenario: usize, fragment: cross_sim::trajectory::Fragment) {
+    fn insert(&mut self, scenario: usize, fragment: cross_proto::fragment::Checked) {
         let id = fragment.id.clone();
         self.buffers[scenario].insert(fragment);
         self.buffers[scenario].count(Outcome::Accepted);

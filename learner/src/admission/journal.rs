@@ -6,7 +6,8 @@
 //! update fail, each of its fragments has one more line, dropped. An acknowledgement goes out after the line that it rests on.
 
 use super::types::{Dropped, Outcome};
-use cross_sim::trajectory::{Fragment, FragmentId};
+use cross_proto::fragment::Checked;
+use cross_sim::trajectory::FragmentId;
 
 /// Filter by which the journal is switched on.
 const TARGET: &str = "cross_learner::fragments";
@@ -25,7 +26,7 @@ macro_rules! entry {
 }
 
 /// It is in the buffer, and about to be acknowledged.
-pub(super) fn accepted(fragment: &Fragment) {
+pub(super) fn accepted(fragment: &Checked) {
     let decisions = fragment.actions.len();
     entry!(
         fragment.id,
@@ -43,7 +44,7 @@ pub(super) fn declined(id: &FragmentId, outcome: Outcome) {
 }
 
 /// It has left the buffer for the round that this update trains on, unless it fails.
-pub(super) fn trained_on(fragment: &Fragment, update: u64) {
+pub(super) fn trained_on(fragment: &Checked, update: u64) {
     entry!(fragment.id, update, "fragment trained on");
 }
 

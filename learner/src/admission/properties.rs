@@ -175,7 +175,7 @@ impl World {
                         assert!(u64::from(steps) >= self.admission.settings().round_steps);
                     }
                     assert!(round.lag.max <= self.admission.settings().max_policy_lag);
-                    self.in_training = Some(round.fragments.into_iter().map(|f| f.id).collect());
+                    self.in_training = Some(round.fragments.iter().map(|f| f.id.clone()).collect());
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! What goes into and comes out of the admission state machine.
 
-use cross_sim::trajectory::Fragment;
+use cross_proto::fragment::Checked;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -237,7 +237,7 @@ pub enum HelloRefusal {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Round {
     /// Oldest first within a scenario, scenarios in the configuration's order.
-    pub fragments: Vec<Fragment>,
+    pub fragments: Vec<Checked>,
     /// Policy versions that the fragments are behind.
     pub lag: Lag,
     /// Counters as they stand once this round is trained on; what a checkpoint records.

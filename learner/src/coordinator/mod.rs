@@ -23,7 +23,7 @@ use cross_proto::v1::{self, stream_fragments_response::Message};
 use outbox::Outboxes;
 use status::{Last, Rate, status};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -275,7 +275,8 @@ impl Coordinator {
     }
 
     fn publish(&self, published: Arc<Published>) {
-        self.telemetry.published(published.policy_version);
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        self.telemetry.published(published.policy_version, now.as_secs_f64());
         self.channels.newest.send_replace(Some(published));
     }
 

@@ -2,7 +2,7 @@
 
 use super::{Coordinator as Task, Outbox};
 use crate::admission::{HelloRefusal, JoinRefusal, StreamId};
-use cross_sim::trajectory::Fragment;
+use cross_proto::fragment::Checked;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use tokio::sync::{mpsc, oneshot};
@@ -37,7 +37,7 @@ pub(crate) enum Request {
         reason: String,
     },
     Heartbeat(StreamId),
-    Fragment(StreamId, Box<Fragment>),
+    Fragment(StreamId, Box<Checked>),
     Invalid {
         stream: StreamId,
         scenario: Option<usize>,

@@ -3,6 +3,7 @@
 use super::{COME_AGAIN, Shared};
 use crate::admission::{HelloRefusal, StreamId};
 use crate::coordinator::{Gone, Outbox, Request};
+use cross_proto::fragment::Checked;
 use cross_proto::ids::ActorId;
 use cross_proto::status::{self, Reason};
 use cross_proto::v1::{self, stream_fragments_request::Message};
@@ -120,7 +121,7 @@ impl Reader {
         let stream = self.stream;
         let refused = |status| Ended::Refused { status, scenario: None };
         let request = match message {
-            Some(Message::Fragment(message)) => Request::Fragment(stream, Box::new(self.decode(message)?)),
+            Some(Message::Fragment(message)) => Request::Fragment(stream, Box::new(self.check(message)?)),
             Some(Message::EpisodeRequest(_)) => Request::Episode(stream),
             Some(Message::EpisodeAborted(aborted)) => {
                 // Quoted in the log, so bounded.
@@ -136,18 +137,18 @@ impl Reader {
         Ok(self.shared.coordinator.send(request).await?)
     }
 
-    fn decode(&self, message: v1::Fragment) -> Result<cross_sim::trajectory::Fragment, Ended> {
+    fn check(&self, message: v1::Fragment) -> Result<Checked, Ended> {
         let specs = &self.shared.specs;
         let scenario = specs.iter().position(|spec| spec.scenario == message.scenario);
-        let decoded = match scenario {
-            Some(index) => fragment::decode(message, &specs[index]),
+        let checked = match scenario {
+            Some(index) => fragment::check(message, &specs[index]),
             None => {
                 let names: Vec<&str> = specs.iter().map(|spec| spec.scenario.as_str()).collect();
                 let problem = format!("is {:?}; this run trains on {}", message.scenario, names.join(", "));
                 Err(Violation::new("fragment.scenario", problem))
             }
         };
-        decoded.map_err(|violation| Ended::Refused { status: status::invalid(&violation), scenario })
+        checked.map_err(|violation| Ended::Refused { status: status::invalid(&violation), scenario })
     }
 
     async fn end(&self, ended: Ended, answers: mpsc::Sender<Answer>) {

@@ -115,6 +115,6 @@ impl cross_proto::server::Learner for LearnerService {
         let request = request.into_inner();
         ActorId::parse(&request.actor_id, "actor_id")?;
         let (newest, closing) = (self.shared.newest.clone(), self.shared.closing.clone());
-        Ok(Response::new(Box::pin(weights::watch(newest, request.known_version, closing))))
+        Ok(weights::subscribe(newest, request.known_version, closing))
     }
 }

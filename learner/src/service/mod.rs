@@ -114,6 +114,7 @@ pub(crate) async fn serve(
         .max_concurrent_streams(CALLS_A_CONNECTION)
         .http2_max_header_list_size(HEADER_BYTES)
         .layer(GuardLayer::new(security, limits))
+        .layer(weights::WeightsLayer)
         .add_service(health)
         .add_service(reflection().build_v1()?)
         .add_service(reflection().build_v1alpha()?)

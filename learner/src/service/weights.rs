@@ -1,41 +1,112 @@
 //! The weight stream: the newest snapshot at once, then each new one; whoever is slow skips to the newest.
+//!
+//! ```text
+//!   watch_weights ── Subscription ──> WithWeights (layer) ── body: shared bytes ──> HTTP/2
+//! ```
+//! tonic encodes every message anew for every stream, a mebibyte of memory for each watcher while it reads. So the service
+//! only subscribes, and the layer puts a body in place that hands out the bytes which the trainer encoded.
 
 use crate::publish::{Newest, Published};
 use cross_proto::v1::WatchWeightsResponse;
-use futures::Stream;
-use futures::stream::unfold;
+use futures::stream::{BoxStream, empty, unfold};
+use futures::{Stream, StreamExt, ready};
+use http_body::Frame;
+use std::pin::Pin;
 use std::sync::Arc;
+use std::task::{Context, Poll};
 use tokio_util::sync::CancellationToken;
-use tonic::Status;
+use tonic::body::Body;
+use tonic::codegen::{Bytes, Service, http};
+use tonic::{Code, Response, Status};
+
+/// Who watches, from which version on.
+#[derive(Debug, Clone)]
+struct Subscription {
+    newest: Newest,
+    known: u64,
+    closing: CancellationToken,
+}
+
+/// A response that [`WithWeights`] fills: snapshots newer than `known`, until `closing` is cancelled.
+pub(super) fn subscribe(
+    newest: Newest,
+    known: u64,
+    closing: CancellationToken,
+) -> Response<BoxStream<'static, Result<WatchWeightsResponse, Status>>> {
+    let mut response = Response::new(empty().boxed());
+    response.extensions_mut().insert(Subscription { newest, known, closing });
+    response
+}
+
+/// Puts the bytes into responses of [`subscribe`].
+#[derive(Debug, Clone)]
+pub(super) struct WeightsLayer;
+
+impl<S> tower::Layer<S> for WeightsLayer {
+    type Service = WithWeights<S>;
+
+    fn layer(&self, inner: S) -> WithWeights<S> {
+        WithWeights(inner)
+    }
+}
+
+/// A service behind the layer.
+#[derive(Debug, Clone)]
+pub(super) struct WithWeights<S>(S);
+
+type Answer<E> = Pin<Box<dyn Future<Output = Result<http::Response<Body>, E>> + Send>>;
+
+impl<S, B> Service<http::Request<B>> for WithWeights<S>
+where
+    S: Service<http::Request<B>, Response = http::Response<Body>>,
+    S::Future: Send + 'static,
+{
+    type Response = http::Response<Body>;
+    type Error = S::Error;
+    type Future = Answer<S::Error>;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), S::Error>> {
+        self.0.poll_ready(context)
+    }
+
+    fn call(&mut self, request: http::Request<B>) -> Self::Future {
+        let answer = self.0.call(request);
+        Box::pin(async move {
+            let mut response = answer.await?;
+            Ok(match response.extensions_mut().remove::<Subscription>() {
+                Some(subscription) => response.map(|_| Body::new(Messages::new(messages(subscription)))),
+                None => response,
+            })
+        })
+    }
+}
 
 struct Watcher {
     newest: Newest,
     /// Version the reader has, or is getting; 0 for none.
     known: u64,
-    /// Snapshot that is being sent, and the next chunk. It is sent to its end even if a newer one appears: a reader slower
+    /// Snapshot that is being sent, and the next message. It is sent to its end even if a newer one appears: a reader slower
     /// than the updates would otherwise never get a whole one.
     sending: Option<(Arc<Published>, usize)>,
     closing: CancellationToken,
 }
 
-pub(super) fn watch(
-    newest: Newest,
-    known: u64,
-    closing: CancellationToken,
-) -> impl Stream<Item = Result<WatchWeightsResponse, Status>> + Send + 'static {
+/// Encoded messages for one watcher.
+fn messages(subscription: Subscription) -> impl Stream<Item = Bytes> + Send + 'static {
+    let Subscription { newest, known, closing } = subscription;
     unfold(Watcher { newest, known, sending: None, closing }, |mut watcher| async move {
-        let chunk = watcher.next().await?;
-        Some((Ok(chunk), watcher))
+        let message = watcher.next().await?;
+        Some((message, watcher))
     })
 }
 
 impl Watcher {
-    async fn next(&mut self) -> Option<WatchWeightsResponse> {
+    async fn next(&mut self) -> Option<Bytes> {
         loop {
             if let Some((published, at)) = &mut self.sending {
-                if let Some(chunk) = published.chunks.get(*at) {
+                if let Some(message) = published.messages.get(*at) {
                     *at += 1;
-                    return Some(chunk.clone());
+                    return Some(message.clone());
                 }
                 self.sending = None;
             }
@@ -54,11 +125,49 @@ impl Watcher {
     }
 }
 
+/// A body of encoded messages, then the status that ends a stream well.
+struct Messages {
+    messages: BoxStream<'static, Bytes>,
+    ended: bool,
+}
+
+impl Messages {
+    fn new(messages: impl Stream<Item = Bytes> + Send + 'static) -> Self {
+        Self { messages: messages.boxed(), ended: false }
+    }
+}
+
+impl http_body::Body for Messages {
+    type Data = Bytes;
+    type Error = Status;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
+        if self.ended {
+            return Poll::Ready(None);
+        }
+        if let Some(message) = ready!(self.messages.poll_next_unpin(context)) {
+            return Poll::Ready(Some(Ok(Frame::data(message))));
+        }
+        self.ended = true;
+        let mut trailers = http::HeaderMap::new();
+        trailers.insert(Status::GRPC_STATUS, (Code::Ok as i32).into());
+        Poll::Ready(Some(Ok(Frame::trailers(trailers))))
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.ended
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::publish::PREFIX_BYTES;
     use cross_proto::weights::{Assembler, CHUNK_BYTES};
-    use futures::StreamExt;
+    use prost::Message;
     use std::pin::pin;
     use tokio::sync::watch;
 
@@ -66,16 +175,28 @@ mod tests {
         Some(Published::new(version, vec![version as u8; size]))
     }
 
+    fn watch_from(newest: &Newest, known: u64, closing: &CancellationToken) -> BoxStream<'static, Bytes> {
+        messages(Subscription { newest: newest.clone(), known, closing: closing.clone() }).boxed()
+    }
+
+    /// The message behind its prefix, which must be right.
+    fn decoded(frame: &Bytes) -> WatchWeightsResponse {
+        let (prefix, message) = frame.split_at(PREFIX_BYTES);
+        assert_eq!(prefix[0], 0, "not compressed");
+        assert_eq!(u32::from_be_bytes(prefix[1..].try_into().unwrap()) as usize, message.len());
+        WatchWeightsResponse::decode(message).unwrap()
+    }
+
     #[tokio::test]
     async fn a_slow_reader_finishes_one_snapshot_and_skips_to_the_newest() {
         let (sender, newest) = watch::channel(published(1, 2 * CHUNK_BYTES + 5));
         let closing = CancellationToken::new();
-        let mut stream = pin!(super::watch(newest, 0, closing.clone()));
+        let mut stream = pin!(watch_from(&newest, 0, &closing));
         let mut assembler = Assembler::new(4 * CHUNK_BYTES);
         let mut whole = Vec::new();
         let mut chunks = 0;
         while whole.len() < 2 {
-            let chunk = stream.next().await.unwrap().unwrap();
+            let chunk = decoded(&stream.next().await.unwrap());
             chunks += 1;
             if chunks == 1 {
                 for version in 2..=4 {
@@ -92,12 +213,28 @@ mod tests {
     #[tokio::test]
     async fn a_reader_gets_nothing_it_already_has_and_all_share_the_bytes() {
         let (sender, newest) = watch::channel(published(3, 10));
-        let mut known = pin!(super::watch(newest.clone(), 3, CancellationToken::new()));
-        let mut other = pin!(super::watch(newest, 0, CancellationToken::new()));
-        assert_eq!(other.next().await.unwrap().unwrap().policy_version, 3);
+        let closing = CancellationToken::new();
+        let mut known = pin!(watch_from(&newest, 3, &closing));
+        let mut other = pin!(watch_from(&newest, 0, &closing));
+        assert_eq!(decoded(&other.next().await.unwrap()).policy_version, 3);
         sender.send_replace(published(4, 10));
-        let (a, b) = (known.next().await.unwrap().unwrap(), other.next().await.unwrap().unwrap());
-        assert_eq!((a.policy_version, b.policy_version), (4, 4));
-        assert_eq!(a.chunk.as_ptr(), b.chunk.as_ptr());
+        let (a, b) = (known.next().await.unwrap(), other.next().await.unwrap());
+        assert_eq!((decoded(&a).policy_version, decoded(&b).policy_version), (4, 4));
+        assert_eq!(a.as_ptr(), b.as_ptr());
+    }
+
+    #[tokio::test]
+    async fn a_body_ends_with_the_status_that_says_well() {
+        let (_sender, newest) = watch::channel(published(1, 10));
+        let closing = CancellationToken::new();
+        let mut body = pin!(Messages::new(watch_from(&newest, 0, &closing)));
+        let mut next = async || {
+            std::future::poll_fn(|context| http_body::Body::poll_frame(body.as_mut(), context)).await
+        };
+        assert!(next().await.unwrap().unwrap().is_data());
+        closing.cancel();
+        let trailers = next().await.unwrap().unwrap().into_trailers().unwrap();
+        assert_eq!(trailers.get("grpc-status").unwrap(), "0");
+        assert!(next().await.is_none());
     }
 }

@@ -107,6 +107,10 @@ proptest! {
         let original = fragment(&spec, first_step, steps, |index| values[index % values.len()]);
         let bytes = v1::Fragment::from(&original).encode_to_vec();
         let message = v1::Fragment::decode(bytes.as_slice()).unwrap();
+        let checked = check(message.clone(), &spec).unwrap();
+        prop_assert!(checked.counts.is_empty(), "they are packed");
+        prop_assert_eq!(&checked, &Checked::from(original.clone()));
+        prop_assert_eq!(&checked.unpack(), &original);
         prop_assert_eq!(decode(message, &spec), Ok(original));
     }
 

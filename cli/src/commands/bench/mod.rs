@@ -1,14 +1,19 @@
 //! `cross bench`: speed, beside a baseline on the same machine.
 
+mod bare;
 mod env;
 mod episodes;
+mod ingest;
+mod live;
 mod traci;
+mod train;
 mod update;
+mod weights;
 
 use crate::failure::Outcome;
 use crate::output;
-use crate::train::progress::say;
 use clap::{Args, Subcommand};
+use live::Live;
 use std::process::ExitCode;
 
 /// Measures how fast parts of CROSS are, each beside a baseline in the same run
@@ -21,6 +26,9 @@ Examples:
   cross bench update            a PPO update: packed as it runs, and padded as the paper writes it
   cross bench env               episodes and decisions: the actor's whole path, and SUMO alone
   cross bench traci             episodes: our TraCI client, the crate traci-rs, Python's traci
+  cross bench ingest            fragments of a thousand actors: one learner, and a bare gRPC stream
+  cross bench weights           new weights to a thousand watchers, likewise
+  cross bench train             a minute of a real training: whose CPU time it was
   cross bench update --json     the same as one JSON document
 
 The column `times better` is above 1 where ours is better, whichever direction of the figure is good.
@@ -39,16 +47,30 @@ enum Command {
     Update(update::Update),
     Env(env::Env),
     Traci(traci::Traci),
+    Ingest(ingest::Ingest),
+    Weights(weights::Weights),
+    Train(train::Train),
+    #[command(hide = true)]
+    Bare(bare::Bare),
 }
 
 impl Bench {
     pub(crate) fn run(&self) -> Outcome<ExitCode> {
-        let progress = |line: &str| say(line);
+        let live = Live::start();
+        let progress = |line: &str| live.tell(line);
         let report = match &self.command {
             Command::Update(command) => command.run(&progress)?,
             Command::Env(command) => Some(command.run(&progress)?),
             Command::Traci(command) => Some(command.run(&progress)?),
+            Command::Ingest(command) => Some(command.run(&progress)?),
+            Command::Weights(command) => Some(command.run(&progress)?),
+            Command::Train(command) => Some(command.run(&progress)?),
+            Command::Bare(command) => {
+                command.run()?;
+                None
+            }
         };
+        drop(live);
         match report {
             Some(report) if self.json => output::json(&report)?,
             Some(report) => output::text(&report.table())?,

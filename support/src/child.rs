@@ -1,10 +1,8 @@
-//! Child processes: started beside this program, logging into the run directory, gone when this process is.
+//! Child processes: started beside this program, logging into a file, gone when this process is.
 
-use super::supervise::Exit;
-use crate::failure::{Failure, Outcome};
-use anyhow::Context;
-use cross_support::options::TLS_VARIABLES;
+use crate::options::TLS_VARIABLES;
 use std::ffi::OsString;
+use std::fmt;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -14,23 +12,70 @@ use std::process::{Child, Command, Stdio};
 /// Most bytes of a log that are read to find a process's last words.
 const TAIL_BYTES: u64 = 16 * 1024;
 
-/// The program `name` in the directory of this executable.
-pub(crate) fn sibling(name: &str) -> Outcome<PathBuf> {
-    let own = std::env::current_exe().context("cannot find the path of this program")?;
-    let path = own.with_file_name(name);
-    if path.is_file() {
-        Ok(path)
-    } else {
-        Err(Failure::failed(format!(
-            "{} is not there; build the whole project with `make build`",
-            path.display()
-        )))
+/// How a process ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Exit {
+    /// By itself.
+    Code(i32),
+    /// By a signal.
+    Signal(i32),
+}
+
+impl fmt::Display for Exit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Code(code) => write!(f, "ended with exit code {code}"),
+            Self::Signal(signal) => write!(f, "was killed by signal {signal}"),
+        }
     }
+}
+
+/// Why a process cannot be started.
+#[derive(Debug, thiserror::Error)]
+pub enum ChildError {
+    /// The operating system does not tell where this program is.
+    #[error("cannot find the path of this program: {source}")]
+    Own {
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// Programs of CROSS lie in one folder; this one does not.
+    #[error("{} is not there; build the whole project with `make build`", path.display())]
+    Missing {
+        /// Where it should be.
+        path: PathBuf,
+    },
+    /// There is nowhere to log.
+    #[error("cannot open the log {}: {source}", path.display())]
+    Log {
+        /// The log.
+        path: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// The operating system refused.
+    #[error("cannot start {}: {source}", program.display())]
+    Start {
+        /// The program.
+        program: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+}
+
+/// The program `name` in the directory of this executable.
+///
+/// # Errors
+/// [`ChildError::Missing`] if there is none.
+pub fn sibling(name: &str) -> Result<PathBuf, ChildError> {
+    let own = std::env::current_exe().map_err(|source| ChildError::Own { source })?;
+    let path = own.with_file_name(name);
+    if path.is_file() { Ok(path) } else { Err(ChildError::Missing { path }) }
 }
 
 /// A child process and its log.
 #[derive(Debug)]
-pub(crate) struct Process {
+pub struct Process {
     child: Child,
     log: PathBuf,
     log_start: u64,
@@ -41,14 +86,14 @@ impl Process {
     ///
     /// The child gets a process group of its own, so that Ctrl-C in a terminal reaches this process alone and the
     /// shutdown keeps its order; and it dies with the calling thread, which must therefore live as long as the run.
-    pub(crate) fn start(program: &Path, arguments: &[OsString], log: &Path) -> Outcome<Self> {
-        let file = OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(log)
-            .with_context(|| format!("cannot open the log {}", log.display()))?;
+    ///
+    /// # Errors
+    /// [`ChildError`] names the program or the log.
+    pub fn start(program: &Path, arguments: &[OsString], log: &Path) -> Result<Self, ChildError> {
+        let unusable = |source| ChildError::Log { path: log.to_owned(), source };
+        let file = OpenOptions::new().create(true).append(true).open(log).map_err(unusable)?;
         let log_start = file.metadata().map(|metadata| metadata.len()).unwrap_or(0);
-        let errors = file.try_clone().with_context(|| format!("cannot open the log {}", log.display()))?;
+        let errors = file.try_clone().map_err(unusable)?;
         let mut command = Command::new(program);
         command.args(arguments).stdin(Stdio::null()).stdout(file).stderr(errors).process_group(0);
         // They are for a cluster; between processes of one machine nothing is encrypted.
@@ -56,16 +101,19 @@ impl Process {
             command.env_remove(variable);
         }
         die_with_parent(&mut command);
-        let child = command.spawn().with_context(|| format!("cannot start {}", program.display()))?;
+        let child =
+            command.spawn().map_err(|source| ChildError::Start { program: program.to_owned(), source })?;
         Ok(Self { child, log: log.to_owned(), log_start })
     }
 
-    pub(crate) fn pid(&self) -> u32 {
+    /// Its process id.
+    #[must_use]
+    pub fn pid(&self) -> u32 {
         self.child.id()
     }
 
     /// How it ended, once it has.
-    pub(crate) fn ended(&mut self) -> Option<Exit> {
+    pub fn ended(&mut self) -> Option<Exit> {
         match self.child.try_wait() {
             Ok(None) => None,
             Ok(Some(status)) => Some(match (status.code(), status.signal()) {
@@ -78,12 +126,12 @@ impl Process {
     }
 
     /// SIGTERM. A child that has just ended is not yet reaped here, so the id cannot be another process's.
-    pub(crate) fn terminate(&self) {
+    pub fn terminate(&self) {
         self.signal(rustix::process::Signal::TERM);
     }
 
     /// SIGKILL.
-    pub(crate) fn kill(&self) {
+    pub fn kill(&self) {
         self.signal(rustix::process::Signal::KILL);
     }
 
@@ -95,7 +143,8 @@ impl Process {
     }
 
     /// The last line it logged, without the program's name in front; `None` if it said nothing.
-    pub(crate) fn last_words(&self) -> Option<String> {
+    #[must_use]
+    pub fn last_words(&self) -> Option<String> {
         last_line(&self.log, self.log_start)
     }
 }
