@@ -122,6 +122,9 @@ impl Episode<'_> {
         policy.begin_episode(layout).map_err(model_failed)?;
         recorder.begin_fragment(version, policy.recurrent_state());
         self.env.reset(self.assignment.sumo_seed).map_err(Interrupted::Simulator)?;
+        if let Some(reason) = self.env.take_replaced() {
+            self.telemetry.sumo_restart(reason.as_str());
+        }
 
         let mut reward_sum = 0.0;
         loop {

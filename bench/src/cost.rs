@@ -2,11 +2,8 @@
 
 use crate::error::BenchError;
 use crate::report::{Better, Row};
-use std::io::{Error, ErrorKind};
-use std::path::Path;
+use cross_support::proc::Stat;
 use std::time::Instant;
-
-const STAT: &str = "/proc/self/stat";
 
 /// What something took.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -48,42 +45,23 @@ fn middle_pair(mut pairs: Vec<(f64, f64)>) -> Option<(f64, f64)> {
 
 /// Seconds of CPU of another process so far, to 0.01 s.
 pub(crate) fn cpu_of(pid: u32) -> Result<f64, BenchError> {
-    Ok(read(Path::new(&format!("/proc/{pid}/stat")))?[0])
+    Ok(read(pid)?[0])
 }
 
 /// Seconds of CPU of this process, and of its children that ended.
 fn cpu() -> Result<[f64; 2], BenchError> {
-    read(Path::new(STAT))
+    read(std::process::id())
 }
 
-fn read(path: &Path) -> Result<[f64; 2], BenchError> {
-    let wrong = |source| BenchError::CpuTime { path: path.to_owned(), source };
-    let text = std::fs::read_to_string(path).map_err(wrong)?;
-    let ticks =
-        ticks(&text).ok_or_else(|| wrong(Error::new(ErrorKind::InvalidData, "it has another form")))?;
+fn read(pid: u32) -> Result<[f64; 2], BenchError> {
+    let stat = Stat::of(pid).ok_or(BenchError::CpuTime { pid })?;
     let second = rustix::param::clock_ticks_per_second() as f64;
-    Ok(ticks.map(|ticks| ticks as f64 / second))
-}
-
-/// User and system time of the process and of its children (proc(5), fields 14 to 17).
-fn ticks(stat: &str) -> Option<[u64; 2]> {
-    // The second field is the program's name, which may hold anything, in parentheses.
-    let (_, fields) = stat.rsplit_once(") ")?;
-    let times: Vec<u64> = fields.split(' ').skip(11).take(4).map_while(|field| field.parse().ok()).collect();
-    let [user, system, child_user, child_system] = times.try_into().ok()?;
-    Some([user + system, child_user + child_system])
+    Ok([stat.ticks, stat.ended_children_ticks].map(|ticks| ticks as f64 / second))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn own_time_and_that_of_children_is_read() {
-        let stat = "42 (a ) b) S 1 42 42 0 -1 4194304 113 0 0 0 5 7 11 13 20 0 1 0 100 1000 50";
-        assert_eq!(ticks(stat), Some([12, 24]));
-        assert_eq!(ticks("42 (a) S 1"), None);
-    }
 
     #[test]
     fn a_child_that_ended_counts() {

@@ -39,13 +39,13 @@ pub enum BenchError {
         /// What it said.
         source: ControllerError,
     },
-    /// CPU time of this process and its children that the kernel should tell.
-    #[error("cannot read the CPU time from {}; this benchmark needs Linux with /proc mounted: {source}", path.display())]
+    /// CPU time that the kernel should tell.
+    #[error(
+        "cannot read the CPU time of process {pid} from /proc/{pid}/stat: it has ended, or this is no Linux with /proc mounted"
+    )]
     CpuTime {
-        /// File of the kernel.
-        path: PathBuf,
-        /// What went wrong.
-        source: std::io::Error,
+        /// Whose.
+        pid: u32,
     },
     /// SUMO's command line that the kernel should tell.
     #[error("cannot read SUMO's command line from {}; this benchmark needs Linux with /proc mounted: {source}", path.display())]
@@ -182,6 +182,14 @@ pub enum BenchError {
     /// A server did not come up.
     #[error("{server} did not serve within {seconds} s of its start; the machine is too busy to measure")]
     NotReady {
+        /// Which.
+        server: &'static str,
+        /// How long it was waited for.
+        seconds: u64,
+    },
+    /// A server did not go away.
+    #[error("{server} did not end within {seconds} s of being told to; it was killed")]
+    NotEnded {
         /// Which.
         server: &'static str,
         /// How long it was waited for.

@@ -8,6 +8,7 @@ mod command_line;
 mod cost;
 pub mod env;
 pub mod error;
+mod folder;
 pub mod ingest;
 pub mod memory;
 pub mod minute;

@@ -7,7 +7,7 @@ use cross_sim::env::{Env, EnvOptions, SecondView};
 use cross_sim::scenario::Scenario;
 use cross_sim::signal::ActionError;
 use cross_sim::trajectory::Observation;
-use cross_traci::SumoHome;
+use cross_traci::{ErrorKind, SumoHome};
 use std::io::Read;
 use std::time::Duration;
 
@@ -231,6 +231,7 @@ fn a_sumo_killed_between_episodes_is_replaced_and_costs_nothing() {
     );
     assert_eq!(episode(&mut env, 1, None), wanted);
     assert_ne!(env.sumo_pid(), Some(first));
+    assert_eq!((env.take_replaced(), env.take_replaced()), (Some(ErrorKind::Crashed), None));
 }
 
 #[cfg(target_os = "linux")]

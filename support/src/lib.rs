@@ -8,6 +8,7 @@
 //!                                   places: how many, patience: silent for how long
 //!   problem      what a failed handshake means, in words
 //!   open_files   how many connections fit
+//!   proc         processes and threads, as the kernel tells of them: process, threads
 //!   child        processes that are started and end with this one
 //! ```
 //! It knows nothing of traffic, learning or libtorch. Secrets are held in types that do not print them.
@@ -24,6 +25,7 @@ mod patience;
 mod pem;
 mod places;
 pub mod problem;
+pub mod proc;
 mod process;
 pub mod server;
 mod threads;

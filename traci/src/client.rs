@@ -159,17 +159,7 @@ impl Client {
         Ok(self.subscriptions())
     }
 
-    /// As [`simulation_step`](Self::simulation_step), but waits for nothing: the step is made when SUMO comes to it, after
-    /// all that was posted before. Its answer is [taken](Self::take), or checked and forgotten by the next call that waits.
-    ///
-    /// # Errors
-    /// [`TraciError::Refused`] for a time that is no number, [`TraciError::Unusable`] after an earlier failure.
-    pub fn post_step(&mut self, to: f64) -> Result<(), TraciError> {
-        self.begin_step(to)?;
-        self.post()
-    }
-
-    fn begin_step(&mut self, to: f64) -> Result<(), TraciError> {
+    pub(crate) fn begin_step(&mut self, to: f64) -> Result<(), TraciError> {
         self.begin();
         self.push(command::SIMULATION_STEP, |w| {
             w.f64(to);
@@ -189,33 +179,6 @@ impl Client {
     /// if nothing was called since.
     pub fn subscriptions(&self) -> SubscriptionResults<'_> {
         self.replies().step().unwrap_or_default()
-    }
-
-    /// Sends what is posted. SUMO begins with it while the caller does something else.
-    ///
-    /// # Errors
-    /// As [`take`](Self::take), but for refusals.
-    pub fn flush(&mut self) -> Result<(), TraciError> {
-        let outcome = self.connection.send(&mut self.outbox, self.timeout);
-        outcome.map_err(|fault| self.fault(fault))
-    }
-
-    /// Messages that are posted and whose answers were not taken.
-    pub fn waiting(&self) -> usize {
-        self.outbox.waiting()
-    }
-
-    /// Waits for the answer to the oldest message that is posted and not answered; for nothing if there is none.
-    ///
-    /// # Errors
-    /// [`TraciError::Refused`] names the first refused command of that message; other errors end the connection.
-    pub fn take(&mut self) -> Result<Replies<'_>, TraciError> {
-        self.flush()?;
-        self.answers.clear();
-        if self.outbox.waiting() > 0 {
-            self.receive()?;
-        }
-        Ok(self.replies())
     }
 
     /// Begins a message of several commands.
@@ -292,7 +255,7 @@ impl Client {
     /// object.
     ///
     /// One round trip, and nothing in between; but SUMO searches the network for whatever is in the range. Where ids are
-    /// known or asked for first, reading the same values in one [`batch`](Self::batch) takes a sixth of the time.
+    /// known or asked for first, reading the same values in one [`batch`](Self::batch) takes half of the time.
     ///
     /// SUMO forgets a subscription that has ended with the next step only: looking around many times in the same second
     /// gets slower each time.
@@ -403,7 +366,7 @@ impl Client {
     /// refused, the first is told of.
     pub(crate) fn run(&mut self) -> Result<(), TraciError> {
         self.post()?;
-        self.flush()?;
+        self.send()?;
         let mut refused = None;
         while self.outbox.waiting() > 0 {
             match self.receive() {
@@ -416,8 +379,19 @@ impl Client {
         refused.map_or(Ok(()), Err)
     }
 
+    /// Sends what is posted.
+    pub(crate) fn send(&mut self) -> Result<(), TraciError> {
+        let outcome = self.connection.send(&mut self.outbox, self.timeout);
+        outcome.map_err(|fault| self.fault(fault))
+    }
+
+    /// Messages that are posted and not answered.
+    pub(crate) fn unanswered(&self) -> usize {
+        self.outbox.waiting()
+    }
+
     /// Reads the answer to the oldest message.
-    fn receive(&mut self) -> Result<(), TraciError> {
+    pub(crate) fn receive(&mut self) -> Result<(), TraciError> {
         let begun = Instant::now();
         let outcome = self.connection.receive(self.outbox.waiting() == 1, self.timeout);
         self.count(begun.elapsed());

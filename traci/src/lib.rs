@@ -51,8 +51,8 @@
 //! # Speed
 //! A round trip costs more than any value in it, so the crate is built around few messages:
 //! - [`Client::simulation_step`] goes any number of seconds at once.
-//! - Values of many objects are read cheapest in one batch: 228 values of 76 vehicles took 0.11 ms, waiting included. A
-//!   subscription to all of them, [`Client::look_around`] too, took 0.5 ms, since SUMO searches the network for them.
+//! - Values of many objects are read cheapest in one batch: of all vehicles, their ids asked for before, in half the time
+//!   of a subscription to them for the moment ([`Client::look_around`]), since SUMO searches the network for those.
 //!   Standing subscriptions are worked out after every simulated second, however many of them one step covers.
 //! - [`Client::batch`] sends any number of commands in one message.
 //! - [`Batch::post`] and [`Client::post_step`] send a message without waiting for its answer, so that SUMO goes from a
@@ -73,6 +73,7 @@
 //!
 //! Calls block. Keep them on a thread of their own, away from an async runtime's workers.
 
+mod ahead;
 pub mod argument;
 pub mod batch;
 pub mod client;

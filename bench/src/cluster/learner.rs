@@ -1,7 +1,8 @@
 //! The program `cross-learner` in a process of its own, started as `cross train` starts it.
 
-use super::{Server, folder};
+use super::Server;
 use crate::error::BenchError;
+use crate::folder::folder;
 use cross_config::Config;
 use serde::Deserialize;
 use std::ffi::OsString;

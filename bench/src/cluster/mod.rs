@@ -1,4 +1,4 @@
-//! What the benchmarks of the wire share: a real learner and a bare server as processes, and simulated actors.
+//! What the benchmarks of real processes share: a learner, a bare server, a whole training, and simulated actors.
 //!
 //! ```text
 //!   recording ── an episode, recorded once with SUMO ──> actor ── gRPC ──> learner   the program cross-learner
@@ -17,16 +17,22 @@ pub(crate) mod recording;
 pub(crate) mod sampler;
 
 use crate::error::BenchError;
+use crate::progress::Progress;
+use cross_config::Config;
+use cross_sim::scenario::Scenario;
 use cross_support::child::Process;
+use cross_traci::SumoHome;
+use recording::Recording;
 use std::ffi::OsString;
 use std::future::Future;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 use tempfile::TempDir;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::time::Instant;
 
-/// How long a server may take from its start until it serves.
+/// How long a server may take from its start until it serves, and from being told to stop until it has ended.
 const READY: Duration = Duration::from_secs(120);
 /// Between two looks whether it does.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -38,6 +44,31 @@ pub struct Programs {
     pub learner: PathBuf,
     /// A program that calls [`bare::serve`], and the arguments that have it do so; a folder is added.
     pub bare: (PathBuf, Vec<OsString>),
+}
+
+/// What the benchmarks of the wire are made with.
+#[derive(Debug)]
+pub struct Setup {
+    /// What is started.
+    pub programs: Programs,
+    /// SUMO, for the one episode that is recorded.
+    pub home: SumoHome,
+    /// Its network, as the configuration names it.
+    pub name: String,
+    /// The same, loaded.
+    pub scenario: Scenario,
+}
+
+impl Setup {
+    /// The episode, on a network that the configuration names.
+    pub(crate) fn record(
+        &self,
+        config: &Config,
+        progress: Progress<'_>,
+    ) -> Result<Arc<Recording>, BenchError> {
+        progress(&format!("recording an episode of {} with SUMO", self.scenario.name));
+        Ok(Arc::new(Recording::new(&self.home, &self.scenario, config, 1)?))
+    }
 }
 
 /// A server in a process and a folder of its own; both are gone when this is dropped.
@@ -53,7 +84,7 @@ impl Server {
     /// Starts `program`; `arguments` gets the folder.
     ///
     /// The process dies with the calling thread.
-    fn start(
+    pub(crate) fn start(
         name: &'static str,
         program: &Path,
         folder: TempDir,
@@ -82,17 +113,25 @@ impl Server {
         }
     }
 
+    /// Has the process end in order, and waits for it.
+    pub(crate) async fn stop(mut self) -> Result<(), BenchError> {
+        self.process.terminate();
+        let end = Instant::now() + READY;
+        while self.process.ended().is_none() {
+            if Instant::now() >= end {
+                return Err(BenchError::NotEnded { server: self.name, seconds: READY.as_secs() });
+            }
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
+        Ok(())
+    }
+
     /// An error if the process has ended: whatever its clients complain of follows from that.
     pub(crate) fn alive(&mut self) -> Result<(), BenchError> {
         let Some(exit) = self.process.ended() else { return Ok(()) };
         let said = self.process.last_words().unwrap_or_else(|| "nothing".to_owned());
         Err(BenchError::ServerEnded { server: self.name, exit, said })
     }
-}
-
-/// An empty folder, gone when it is dropped.
-fn folder() -> Result<TempDir, BenchError> {
-    tempfile::Builder::new().prefix("cross-bench-").tempdir().map_err(|source| BenchError::Folder { source })
 }
 
 /// Runs a benchmark on this thread, until it ends or somebody asks to stop. Whatever it started or made is then gone.

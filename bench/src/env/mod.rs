@@ -14,6 +14,7 @@ mod plan;
 
 use crate::cost::{self, Cost};
 use crate::error::BenchError;
+use crate::folder::folder;
 use crate::progress::Progress;
 use crate::report::{Report, Row};
 use cross_config::{Config, EnvConfig};
@@ -142,10 +143,7 @@ fn pair(
     options: &Options,
     driver: Driver<'_>,
 ) -> Result<Pair, BenchError> {
-    let folder = tempfile::Builder::new()
-        .prefix("cross-bench-")
-        .tempdir()
-        .map_err(|source| BenchError::Folder { source })?;
+    let folder = folder()?;
     let (own_trips, bare_trips) = (folder.path().join("ours.xml"), folder.path().join("bare.xml"));
     let Driven { cost: ours, actions, arguments, encoded } =
         drive(&options.home, scenario, env, options.seed, &own_trips, driver)?;

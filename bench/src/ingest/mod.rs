@@ -17,14 +17,12 @@ use crate::cluster::actor::Peer;
 use crate::cluster::bare::BareServer;
 use crate::cluster::learner::Learner;
 use crate::cluster::recording::Recording;
-use crate::cluster::{self, Programs, client, limits};
+use crate::cluster::{self, Setup, client, limits};
 use crate::error::BenchError;
 use crate::progress::Progress;
 use crate::report::{Better, Report, Row};
 use cross_config::Config;
 use cross_proto::v1;
-use cross_sim::scenario::Scenario;
-use cross_traci::SumoHome;
 use drive::Load;
 use std::sync::Arc;
 use tally::Figures;
@@ -39,14 +37,8 @@ const ROUND_STEPS: u32 = 1_000_000;
 /// What to measure.
 #[derive(Debug)]
 pub struct Options {
-    /// What is started.
-    pub programs: Programs,
-    /// SUMO, for the one episode that is recorded.
-    pub home: SumoHome,
-    /// Its network, as the configuration names it.
-    pub name: String,
-    /// The same, loaded.
-    pub scenario: Scenario,
+    /// Programs, and the network of the recorded episode.
+    pub setup: Setup,
     /// Actors, one case after another.
     pub actors: Vec<usize>,
     /// Seconds in which acknowledgements count, at most.
@@ -62,10 +54,9 @@ pub struct Options {
 pub fn run(options: &Options, progress: Progress<'_>) -> Result<Report, BenchError> {
     let most = options.actors.iter().copied().max().unwrap_or(1);
     limits::raise(most)?;
-    let mut config = Config { scenarios: vec![options.name.clone()], ..Config::default() };
+    let mut config = Config { scenarios: vec![options.setup.name.clone()], ..Config::default() };
     limits::configure(&mut config, most);
-    progress(&format!("recording an episode of {} with SUMO", options.scenario.name));
-    let recording = Arc::new(Recording::new(&options.home, &options.scenario, &config, 1)?);
+    let recording = options.setup.record(&config, progress)?;
     progress(&format!(
         "a fragment has {:.0} bytes on the wire, {:.1} a decision",
         recording.wire_bytes(),
@@ -82,7 +73,7 @@ async fn measure(
     progress: Progress<'_>,
 ) -> Result<Vec<Row>, BenchError> {
     let per_decision = recording.wire_bytes() / recording.decisions();
-    let case = format!("bytes of a decision on the wire, {}", options.scenario.name);
+    let case = format!("bytes of a decision on the wire, {}", options.setup.scenario.name);
     let mut rows = vec![Row::new(case, "B", Better::Lower, per_decision, ("the aim", WIRE_AIM))];
     for &actors in &options.actors {
         let load = Load { actors, seconds: options.seconds, fragments: options.fragments, recording };
@@ -93,7 +84,7 @@ async fn measure(
         compare(actors, &ours, &bare, &mut rows);
     }
     if let Some(&most) = options.actors.iter().max() {
-        rows.push(held::measure(&options.programs, config, most, recording, progress).await?);
+        rows.push(held::measure(&options.setup.programs, config, most, recording, progress).await?);
     }
     Ok(rows)
 }
@@ -110,7 +101,7 @@ fn roomy(config: &Config, load: &Load<'_>) -> Config {
 
 async fn by_learner(options: &Options, config: &Config, load: &Load<'_>) -> Result<Figures, BenchError> {
     config.validate()?;
-    let mut learner = Learner::start(&options.programs.learner, config).await?;
+    let mut learner = Learner::start(&options.setup.programs.learner, config).await?;
     let mut training = client::training(&learner.address).await?;
     training.pause(v1::PauseRequest {}).await.map_err(client::failed("Pause"))?;
     let figures = drive::run(Peer::Learner, &learner.address, learner.server.pid(), load).await;
@@ -118,7 +109,7 @@ async fn by_learner(options: &Options, config: &Config, load: &Load<'_>) -> Resu
     let figures = figures?;
     let series = format!(
         "cross_learner_fragments_total{{scenario=\"{}\",outcome=\"accepted\"}}",
-        options.scenario.name
+        options.setup.scenario.name
     );
     let counted = learner.metric(&series).await? as u64;
     let (sent, acknowledged) = (figures.sent, figures.acknowledged);
@@ -129,7 +120,7 @@ async fn by_learner(options: &Options, config: &Config, load: &Load<'_>) -> Resu
 }
 
 async fn by_bare_server(options: &Options, load: &Load<'_>) -> Result<Figures, BenchError> {
-    let mut bare = BareServer::start(&options.programs, b"no weights").await?;
+    let mut bare = BareServer::start(&options.setup.programs, b"no weights").await?;
     let figures = drive::run(Peer::Bare, &bare.address, bare.server.pid(), load).await;
     bare.server.alive()?;
     figures

@@ -7,10 +7,13 @@
 
 mod parts;
 
+use crate::cluster::{self, Server};
 use crate::error::BenchError;
+use crate::folder::folder;
 use crate::progress::Progress;
 use crate::report::{Better, Report, Row};
-use cross_support::child::{Exit, Process, sibling};
+use cross_learner::metrics_log;
+use cross_support::child::sibling;
 use parts::{Part, Ticks};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -20,14 +23,10 @@ use std::time::{Duration, Instant};
 const WARM_UP: usize = 3;
 /// More than any benchmark makes.
 const UPDATES: &str = "1000000";
-/// What has to be done while the clock runs, for anything to be measured.
-const LEAST_UPDATES: usize = 1;
 /// Between two looks whether the training still runs.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const LOOK_EVERY: Duration = Duration::from_millis(200);
 /// Longest time until the first updates are made.
 const START: Duration = Duration::from_secs(900);
-/// Longest time for the drain at the end.
-const DRAIN: Duration = Duration::from_secs(180);
 
 /// What to train, and for how long to look.
 #[derive(Debug)]
@@ -44,52 +43,48 @@ pub struct Options {
     pub time: Duration,
 }
 
-/// Trains and looks.
+/// Trains and looks. The training is stopped after that, and its run directory is gone: nobody wants it.
 ///
 /// # Errors
-/// [`BenchError::Training`] if the training ends or makes no updates, [`BenchError::Child`] if it does not start.
+/// [`BenchError::ServerEnded`] with its last words if the training ends, [`BenchError::Training`] if it makes no updates.
 pub fn run(options: &Options, progress: Progress<'_>) -> Result<Report, BenchError> {
-    let folder = tempfile::Builder::new()
-        .prefix("cross-bench-")
-        .tempdir()
-        .map_err(|source| BenchError::Folder { source })?;
-    let run = folder.path().join("run");
-    let mut training =
-        Process::start(&sibling("cross")?, &arguments(options, &run), &folder.path().join("log"))?;
-    let log = run.join(cross_learner::metrics_log::FILE);
-    let enough = |updates: usize| updates >= WARM_UP;
-    let begun = Instant::now();
-    while !enough(updates(&log).len()) {
-        look(&mut training, begun.elapsed() < START)?;
-    }
-    progress(&format!(
-        "warm after {:.0} s; looking for {} s",
-        begun.elapsed().as_secs_f64(),
-        options.time.as_secs()
-    ));
+    cluster::run(measure(options, progress))
+}
 
-    let (before, ticks, clock) = (updates(&log), Ticks::below(training.pid()), Instant::now());
+async fn measure(options: &Options, progress: Progress<'_>) -> Result<Report, BenchError> {
+    let folder = folder()?;
+    let run = folder.path().join("run");
+    let log = run.join(metrics_log::FILE);
+    let mut training = Server::start("the training", &sibling("cross")?, folder, &arguments(options, &run))?;
+    let begun = Instant::now();
+    while decisions(&log).len() < WARM_UP {
+        if begun.elapsed() > START {
+            let problem = format!("it made no {WARM_UP} updates in {} s", START.as_secs());
+            return Err(BenchError::Training { problem });
+        }
+        look(&mut training).await?;
+    }
+    let (warm, seconds) = (begun.elapsed().as_secs_f64(), options.time.as_secs());
+    progress(&format!("warm after {warm:.0} s; looking for {seconds} s"));
+
+    let (before, ticks, clock) = (decisions(&log), Ticks::below(training.pid()), Instant::now());
     while clock.elapsed() < options.time {
-        look(&mut training, true)?;
+        look(&mut training).await?;
     }
     let (used, wall) = (Ticks::below(training.pid()).since(&ticks), clock.elapsed().as_secs_f64());
-    let after = updates(&log);
-    if after.len() < before.len() + LEAST_UPDATES {
-        return Err(BenchError::Training {
-            problem: "it made no update in that time; look for longer".to_owned(),
-        });
-    }
-    stop(&mut training)?;
-
+    let after = decisions(&log);
+    let (Some(first), Some(last)) = (before.last(), after.last().filter(|_| after.len() > before.len()))
+    else {
+        let problem = "it made no update in that time; look for longer".to_owned();
+        return Err(BenchError::Training { problem });
+    };
+    let rate = (last - first) as f64 / wall;
+    progress(&format!("{} updates, {rate:.0} decisions a second", after.len() - before.len()));
+    // In order, so that no process of it writes into the folder that goes now.
+    training.stop().await?;
     let second = rustix::param::clock_ticks_per_second() as f64;
-    let used = used.map(|ticks| ticks as f64 / second);
-    let decisions = after.last().copied().unwrap_or(0) - before.last().copied().unwrap_or(0);
-    progress(&format!(
-        "{} updates, {:.0} decisions a second",
-        after.len() - before.len(),
-        decisions as f64 / wall
-    ));
-    Ok(Report::new("train", rows(&options.scenarios.join(" + "), used, wall)))
+    let case = options.scenarios.join(" + ");
+    Ok(Report::new("train", rows(&case, used.map(|ticks| ticks as f64 / second), wall)))
 }
 
 fn arguments(options: &Options, run: &Path) -> Vec<OsString> {
@@ -109,72 +104,36 @@ fn arguments(options: &Options, run: &Path) -> Vec<OsString> {
 }
 
 /// Decisions trained on after each update so far.
-fn updates(log: &Path) -> Vec<u64> {
+fn decisions(log: &Path) -> Vec<u64> {
     // Not there before the first update; its last line may be half written.
     let text = std::fs::read_to_string(log).unwrap_or_default();
-    let line = |line: &str| serde_json::from_str::<cross_learner::metrics_log::Line>(line).ok();
+    let line = |line: &str| serde_json::from_str::<metrics_log::Line>(line).ok();
     text.lines().filter_map(line).map(|line| line.decisions).collect()
 }
 
-/// Waits a little, unless the training has ended or `patient` no longer holds.
-fn look(training: &mut Process, patient: bool) -> Result<(), BenchError> {
-    let problem = match training.ended() {
-        Some(exit) => format!("it {exit}, saying: {}", training.last_words().unwrap_or_default()),
-        None if !patient => format!("it made no {WARM_UP} updates in {} s", START.as_secs()),
-        None => {
-            std::thread::sleep(LOOK_EVERY);
-            return Ok(());
-        }
-    };
-    Err(BenchError::Training { problem })
-}
-
-/// Has it drain; its run directory is of no use to anybody, but no process of it may be left.
-fn stop(training: &mut Process) -> Result<(), BenchError> {
-    training.terminate();
-    let begun = Instant::now();
-    loop {
-        match training.ended() {
-            Some(Exit::Code(0)) => return Ok(()),
-            Some(exit) => {
-                let said = training.last_words().unwrap_or_default();
-                return Err(BenchError::Training {
-                    problem: format!("told to stop, it {exit}, saying: {said}"),
-                });
-            }
-            None if begun.elapsed() > DRAIN => {
-                let problem = format!("it did not stop within {} s", DRAIN.as_secs());
-                return Err(BenchError::Training { problem });
-            }
-            None => std::thread::sleep(LOOK_EVERY),
-        }
-    }
+/// Waits a little, and finds the training still there.
+async fn look(training: &mut Server) -> Result<(), BenchError> {
+    tokio::time::sleep(LOOK_EVERY).await;
+    training.alive()
 }
 
 fn rows(case: &str, used: [f64; 5], wall: f64) -> Vec<Row> {
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get) as f64;
     let all: f64 = used.iter().sum();
-    let percent = |part: f64, of: f64| 100.0 * part / of.max(f64::MIN_POSITIVE);
-    let row = |what: &str, better, share: f64, against: (&str, f64)| {
-        Row::new(format!("{case}, {what}"), "%", better, share, against)
+    let percent = |what: &str, better, part: f64, (name, of): (&str, f64)| {
+        let share = 100.0 * part / of.max(f64::MIN_POSITIVE);
+        Row::new(format!("{case}, {what}"), "%", better, share, (name, 100.0))
     };
-    let of_all = |part: f64| (percent(part, all), ("all CPU time of the training", 100.0));
-    let mut rows: Vec<Row> = Part::ALL
-        .into_iter()
-        .zip(used)
-        .map(|(part, used)| {
-            let (share, against) = of_all(used);
-            let better =
-                if matches!(part, Part::Sumo | Part::Update) { Better::Higher } else { Better::Lower };
-            row(part.name(), better, share, against)
-        })
-        .collect();
-    let wanted =
-        Part::ALL.into_iter().zip(used).filter(|(part, _)| matches!(part, Part::Sumo | Part::Update));
-    let (share, against) = of_all(wanted.map(|(_, used)| used).sum());
-    rows.push(row("SUMO and updates together", Better::Higher, share, against));
-    let against = ("all time of the machine's cores", 100.0);
-    rows.push(row("cores at work", Better::Higher, percent(all, cores * wall), against));
+    let used_time = ("all CPU time of the training", all);
+    let (mut rows, mut work) = (Vec::new(), 0.0);
+    for (part, used) in Part::ALL.into_iter().zip(used) {
+        let better = if part.is_work() { Better::Higher } else { Better::Lower };
+        work += if part.is_work() { used } else { 0.0 };
+        rows.push(percent(part.name(), better, used, used_time));
+    }
+    rows.push(percent("SUMO and updates together", Better::Higher, work, used_time));
+    let every_core = ("all time of the machine's cores", cores * wall);
+    rows.push(percent("cores at work", Better::Higher, all, every_core));
     rows
 }
 
@@ -191,11 +150,11 @@ mod tests {
     }
 
     #[test]
-    fn updates_are_counted_without_a_line_that_is_half_there() {
+    fn a_line_that_is_half_there_does_not_count() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(updates(&folder.path().join("none")).is_empty());
+        assert!(decisions(&folder.path().join("none")).is_empty());
         let log = folder.path().join("log");
         std::fs::write(&log, "{\"update\": 1").unwrap();
-        assert!(updates(&log).is_empty());
+        assert!(decisions(&log).is_empty());
     }
 }

@@ -1,7 +1,7 @@
 //! Whose CPU time it is: every thread of every process below one, sorted by what it does.
 
+use cross_support::proc::{Stat, family, threads};
 use std::collections::HashMap;
-use std::path::Path;
 
 /// What CPU time of a training goes to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -33,7 +33,12 @@ impl Part {
         }
     }
 
-    /// By the names of process and thread, as the kernel has them (15 bytes at most).
+    /// Whether this is the work itself, and not what it costs to have it done.
+    pub(super) fn is_work(self) -> bool {
+        matches!(self, Self::Sumo | Self::Update)
+    }
+
+    /// By the names of process and thread, as the kernel has them.
     fn of(process: &str, thread: &str) -> Self {
         match (process, thread) {
             ("sumo", _) => Self::Sumo,
@@ -51,25 +56,20 @@ impl Part {
 pub(super) struct Ticks(HashMap<(u32, u32), (u64, Part)>);
 
 impl Ticks {
-    /// Those of all processes below `root`, itself included. What ends meanwhile is left out.
+    /// Those of all processes below `root`, itself included.
     pub(super) fn below(root: u32) -> Self {
         let mut ticks = HashMap::new();
-        for process in family(root, &parents()) {
-            let Some(name) = word(&format!("/proc/{process}/comm")) else { continue };
-            for thread in numbers(Path::new(&format!("/proc/{process}/task"))) {
-                let folder = format!("/proc/{process}/task/{thread}");
-                let used =
-                    std::fs::read_to_string(format!("{folder}/stat")).ok().and_then(|stat| used(&stat));
-                if let (Some(used), Some(thread_name)) = (used, word(&format!("{folder}/comm"))) {
-                    ticks.insert((process, thread), (used, Part::of(&name, &thread_name)));
-                }
+        for process in family(root) {
+            let Some(Stat { name, .. }) = Stat::of(process) else { continue };
+            for (thread, stat) in threads(process) {
+                ticks.insert((process, thread), (stat.ticks, Part::of(&name, &stat.name)));
             }
         }
         Self(ticks)
     }
 
     /// Ticks used by each part, in the order of [`Part::ALL`], since `before`. A thread that began since counts in full;
-    /// one that ended since is lost, so that the two must not be far apart.
+    /// what one used that ended since is lost, so that the two must not be far apart.
     pub(super) fn since(&self, before: &Self) -> [u64; 5] {
         Part::ALL.map(|part| {
             let own = self.0.iter().filter(|(_, (_, of))| *of == part);
@@ -79,63 +79,9 @@ impl Ticks {
     }
 }
 
-/// Every process with its parent.
-fn parents() -> Vec<(u32, u32)> {
-    let parent = |process: u32| {
-        let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-        Some((process, fields(&stat)?.nth(1)?.parse().ok()?))
-    };
-    numbers(Path::new("/proc")).into_iter().filter_map(parent).collect()
-}
-
-/// `root` and all below it.
-fn family(root: u32, parents: &[(u32, u32)]) -> Vec<u32> {
-    let mut found = vec![root];
-    let mut next = 0;
-    while let Some(&process) = found.get(next) {
-        found.extend(parents.iter().filter(|(_, parent)| *parent == process).map(|(child, _)| *child));
-        next += 1;
-    }
-    found
-}
-
-/// Entries of a folder that are numbers.
-fn numbers(folder: &Path) -> Vec<u32> {
-    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
-    entries.flatten().filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect()
-}
-
-fn word(path: &str) -> Option<String> {
-    std::fs::read_to_string(path).ok().map(|text| text.trim_end().to_owned())
-}
-
-/// Fields of a `stat` file from the third on (proc(5)); the second, in parentheses, may hold anything.
-fn fields(stat: &str) -> Option<impl Iterator<Item = &str>> {
-    Some(stat.rsplit_once(") ")?.1.split(' '))
-}
-
-/// User and system time, fields 14 and 15.
-fn used(stat: &str) -> Option<u64> {
-    let mut fields = fields(stat)?.skip(11);
-    let mut next = || fields.next()?.parse::<u64>().ok();
-    Some(next()? + next()?)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn time_is_read_behind_any_name() {
-        assert_eq!(used("42 (a ) b) S 1 42 42 0 -1 4194304 113 0 0 0 5 7 11 13 20 0 1 0"), Some(12));
-        assert_eq!(used("42 (a"), None);
-    }
-
-    #[test]
-    fn a_family_is_found_over_generations() {
-        let parents = [(1, 0), (5, 1), (6, 5), (7, 6), (8, 1), (9, 6)];
-        assert_eq!(family(5, &parents), [5, 6, 7, 9]);
-    }
 
     #[test]
     fn threads_are_told_by_process_and_name() {

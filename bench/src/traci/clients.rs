@@ -94,13 +94,24 @@ impl Client {
             _ => format!("{program} cannot be started: {error}"),
         })?;
         if !output.status.success() {
-            return Err(format!("{program} cannot be used: {}", last_line(&output.stderr)));
+            let said = last_line(&output.stderr);
+            return Err(format!("{program} ended with {}, saying: {said}{}", output.status, remedy(&said)));
         }
         let said = last_line(&output.stdout);
         self.title = accepted(&said).ok_or_else(|| {
             format!("it says {said:?}, and SUMO's version of TraCI is {API_VERSION}; install the traci that came with SUMO")
         })?;
         Ok(self)
+    }
+}
+
+/// What helps, as the end of a sentence, where that is known.
+fn remedy(said: &str) -> &'static str {
+    match said {
+        "ModuleNotFoundError: No module named 'traci'" => {
+            "; the SUMO that `make build` installs has it, or install the traci of PyPI in SUMO's version"
+        }
+        _ => "",
     }
 }
 

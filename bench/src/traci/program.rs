@@ -16,10 +16,11 @@ use super::job::Job;
 use super::seen::Seen;
 use crate::cost::{Cost, measured};
 use crate::error::BenchError;
+use crate::folder::folder;
 use cross_sim::SimError;
 use cross_sim::lanes::LaneTable;
 use cross_traci::sumo::{SumoServer, spawn_tied};
-use cross_traci::{SumoCommand, SumoHome};
+use cross_traci::{SumoCommand, SumoHome, TraciError};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
@@ -39,10 +40,7 @@ pub(super) fn episode(
     sumo: &SumoCommand,
     lanes: &mut LaneTable,
 ) -> Result<(Cost, Seen), BenchError> {
-    let folder = tempfile::Builder::new()
-        .prefix("cross-bench-")
-        .tempdir()
-        .map_err(|source| BenchError::Folder { source })?;
+    let folder = folder()?;
     let seen = folder.path().join("seen.txt");
     let mut talk = Talk::start(client, job, folder.path(), &seen)?;
     talk.hear("ready")?;
@@ -54,10 +52,10 @@ pub(super) fn episode(
                 server.wait(PATIENCE).map_err(SimError::from)?;
                 Ok(answer)
             }
-            // Which of the two failed first is not known; both are asked for their last words.
+            // Which of the two failed first is not known; both are asked for their last words. A SUMO that goes on has none.
             Err(error) => Err(match server.wait(SHORT) {
-                Err(sumo) => error.beside(&sumo.to_string()),
-                Ok(_) => error,
+                Err(sumo @ TraciError::Crashed { .. }) => error.beside(&sumo.to_string()),
+                _ => error,
             }),
         }
     })?;

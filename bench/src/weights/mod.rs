@@ -14,15 +14,13 @@ mod source;
 
 use crate::cluster::recording::Recording;
 use crate::cluster::sampler::Sampler;
-use crate::cluster::{self, Programs, limits};
+use crate::cluster::{self, Setup, limits};
 use crate::cost::cpu_of;
 use crate::error::BenchError;
 use crate::memory;
 use crate::progress::Progress;
 use crate::report::{Better, Report, Row, median};
 use cross_config::Config;
-use cross_sim::scenario::Scenario;
-use cross_traci::SumoHome;
 use crowd::Crowd;
 use source::Source;
 use std::fmt;
@@ -46,14 +44,8 @@ const SETTLE: Duration = Duration::from_millis(500);
 /// What to measure.
 #[derive(Debug)]
 pub struct Options {
-    /// What is started.
-    pub programs: Programs,
-    /// SUMO, for the one episode that is recorded.
-    pub home: SumoHome,
-    /// Its network, as the configuration names it.
-    pub name: String,
-    /// The same, loaded.
-    pub scenario: Scenario,
+    /// Programs, and the network of the recorded episode.
+    pub setup: Setup,
     /// Watchers, one case after another.
     pub watchers: Vec<usize>,
     /// New versions in each case; medians count.
@@ -67,10 +59,9 @@ pub struct Options {
 pub fn run(options: &Options, progress: Progress<'_>) -> Result<Report, BenchError> {
     let most = options.watchers.iter().copied().max().unwrap_or(1);
     limits::raise(most)?;
-    let config = config(&options.name, most);
+    let config = config(&options.setup.name, most);
     config.validate()?;
-    progress(&format!("recording an episode of {} with SUMO", options.scenario.name));
-    let recording = Arc::new(Recording::new(&options.home, &options.scenario, &config, 1)?);
+    let recording = options.setup.record(&config, progress)?;
     let rows = cluster::run(measure(options, &config, &recording, progress))?;
     Ok(Report::new("weights", rows))
 }
@@ -94,10 +85,10 @@ async fn measure(
 ) -> Result<Vec<Row>, BenchError> {
     let mut rows = Vec::new();
     for &watchers in &options.watchers {
-        let source = Source::learner(&options.programs, config, recording).await?;
+        let source = Source::learner(&options.setup.programs, config, recording).await?;
         let (ours, snapshot) = whole_case(source, watchers, options.versions).await?;
         progress(&format!("{watchers} watchers of {} bytes, the learner: {ours}", snapshot.len()));
-        let source = Source::bare(&options.programs, &snapshot).await?;
+        let source = Source::bare(&options.setup.programs, &snapshot).await?;
         let (bare, _) = whole_case(source, watchers, options.versions).await?;
         progress(&format!("{watchers} watchers, the bare server: {bare}"));
         compare(watchers, &ours, &bare, &mut rows);

@@ -8,9 +8,11 @@
 
 use crate::publish::{Newest, Published};
 use cross_proto::v1::WatchWeightsResponse;
-use futures::stream::{BoxStream, empty, unfold};
-use futures::{Stream, StreamExt, ready};
+use futures::future::ready;
+use futures::stream::{BoxStream, empty, once, unfold};
+use futures::{Stream, StreamExt};
 use http_body::Frame;
+use http_body_util::StreamBody;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -74,7 +76,7 @@ where
         Box::pin(async move {
             let mut response = answer.await?;
             Ok(match response.extensions_mut().remove::<Subscription>() {
-                Some(subscription) => response.map(|_| Body::new(Messages::new(messages(subscription)))),
+                Some(subscription) => response.map(|_| body(messages(subscription))),
                 None => response,
             })
         })
@@ -126,40 +128,10 @@ impl Watcher {
 }
 
 /// A body of encoded messages, then the status that ends a stream well.
-struct Messages {
-    messages: BoxStream<'static, Bytes>,
-    ended: bool,
-}
-
-impl Messages {
-    fn new(messages: impl Stream<Item = Bytes> + Send + 'static) -> Self {
-        Self { messages: messages.boxed(), ended: false }
-    }
-}
-
-impl http_body::Body for Messages {
-    type Data = Bytes;
-    type Error = Status;
-
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
-        if self.ended {
-            return Poll::Ready(None);
-        }
-        if let Some(message) = ready!(self.messages.poll_next_unpin(context)) {
-            return Poll::Ready(Some(Ok(Frame::data(message))));
-        }
-        self.ended = true;
-        let mut trailers = http::HeaderMap::new();
-        trailers.insert(Status::GRPC_STATUS, (Code::Ok as i32).into());
-        Poll::Ready(Some(Ok(Frame::trailers(trailers))))
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.ended
-    }
+fn body(messages: impl Stream<Item = Bytes> + Send + 'static) -> Body {
+    let trailers = http::HeaderMap::from_iter([(Status::GRPC_STATUS, (Code::Ok as i32).into())]);
+    let frames = messages.map(Frame::data).chain(once(ready(Frame::trailers(trailers))));
+    Body::new(StreamBody::new(frames.map(Ok::<_, Status>)))
 }
 
 #[cfg(test)]
@@ -167,6 +139,7 @@ mod tests {
     use super::*;
     use crate::publish::PREFIX_BYTES;
     use cross_proto::weights::{Assembler, CHUNK_BYTES};
+    use http_body_util::BodyExt;
     use prost::Message;
     use std::pin::pin;
     use tokio::sync::watch;
@@ -227,14 +200,11 @@ mod tests {
     async fn a_body_ends_with_the_status_that_says_well() {
         let (_sender, newest) = watch::channel(published(1, 10));
         let closing = CancellationToken::new();
-        let mut body = pin!(Messages::new(watch_from(&newest, 0, &closing)));
-        let mut next = async || {
-            std::future::poll_fn(|context| http_body::Body::poll_frame(body.as_mut(), context)).await
-        };
-        assert!(next().await.unwrap().unwrap().is_data());
+        let mut body = body(watch_from(&newest, 0, &closing));
+        assert!(body.frame().await.unwrap().unwrap().is_data());
         closing.cancel();
-        let trailers = next().await.unwrap().unwrap().into_trailers().unwrap();
+        let trailers = body.frame().await.unwrap().unwrap().into_trailers().unwrap();
         assert_eq!(trailers.get("grpc-status").unwrap(), "0");
-        assert!(next().await.is_none());
+        assert!(body.frame().await.is_none());
     }
 }

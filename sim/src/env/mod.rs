@@ -30,7 +30,7 @@ use crate::observe;
 use crate::scenario::Scenario;
 use crate::signal::{Command, SignalTiming};
 use crate::trajectory::Observation;
-use cross_traci::SumoHome;
+use cross_traci::{ErrorKind, SumoHome};
 use programs::ProgramFile;
 use simulation::{Second, Simulation};
 use std::sync::Arc;
@@ -71,6 +71,7 @@ pub struct Env {
     time: f64,
     steps: u32,
     timings: Timings,
+    replaced: Option<ErrorKind>,
 }
 
 impl Env {
@@ -95,6 +96,7 @@ impl Env {
             time: f64::from(scenario.begin),
             steps: 0,
             timings: Timings::default(),
+            replaced: None,
             layout,
             options,
         };
@@ -149,6 +151,7 @@ impl Env {
             Some(running) => running.restart(scenario, options, programs, seed).unwrap_or_else(|error| {
                 // It may have been killed since; what was asked for is a beginning, which another SUMO gives too.
                 tracing::warn!(scenario = %scenario.name, "starting another SUMO: {error}");
+                self.replaced = Some(error.kind());
                 None
             }),
         };
@@ -204,6 +207,11 @@ impl Env {
     #[must_use]
     pub fn timings(&self) -> Timings {
         self.timings
+    }
+
+    /// What was wrong with the SUMO that the last [`reset`](Self::reset) found and had to replace, if it did; tells it once.
+    pub fn take_replaced(&mut self) -> Option<ErrorKind> {
+        self.replaced.take()
     }
 
     /// Takes one action, a phase index, for each agent, and simulates to the next decision. Under a

@@ -1,9 +1,8 @@
 //! All vehicles of one moment: where each is and how fast.
 //!
 //! SUMO is asked for their ids, then, in one message, for the values of each. That is two round trips where a context
-//! subscription around a junction is one, and yet a sixth of its time: a subscription searches the network for lanes and
-//! the lanes for vehicles first (SUMO 1.28, `grid4x4` with 76 vehicles: 0.11 ms of waiting against 0.50, with 194 vehicles
-//! 0.29 against 1.18; docs/performance.md).
+//! subscription around a junction is one, and yet half of its time, since SUMO searches the network for what a subscription
+//! finds (docs/performance.md, "Asking for every vehicle").
 
 use crate::lanes::LaneTable;
 use cross_traci::constants::{Domain, any, vehicle};

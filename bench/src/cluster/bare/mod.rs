@@ -7,8 +7,9 @@
 
 mod raw;
 
-use super::{Programs, Server, folder};
+use super::{Programs, Server};
 use crate::error::BenchError;
+use crate::folder::folder;
 use bytes::Bytes;
 use cross_config::Config;
 use cross_proto::server::{Learner, LearnerServer, Training, TrainingServer};

@@ -1,11 +1,9 @@
 //! `cross bench ingest`.
 
-use super::bare::programs;
-use crate::failure::{OrBadInput, Outcome};
-use crate::sumo::SumoOption;
+use super::recorded::{Recorded, clients};
+use crate::failure::Outcome;
 use clap::Args;
 use cross_bench::{Progress, Report, ingest};
-use cross_sim::scenario::Scenario;
 
 /// What one learner takes from one to a thousand actors, beside what tonic alone takes of the same bytes
 ///
@@ -39,7 +37,7 @@ An error, and no table, if a fragment is lost, acknowledged twice or not accepte
 A thousand actors need some 2,300 open files: the soft limit is raised to the hard one (ulimit -Hn).")]
 pub(crate) struct Ingest {
     /// Numbers of actors, one case each
-    #[arg(long, value_name = "N,...", value_delimiter = ',', default_values_t = [1, 10, 100, 1000], value_parser = number)]
+    #[arg(long, value_name = "N,...", value_delimiter = ',', default_values_t = [1, 10, 100, 1000], value_parser = clients)]
     actors: Vec<usize>,
     /// Seconds that count in each case, at most
     #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = seconds)]
@@ -47,19 +45,8 @@ pub(crate) struct Ingest {
     /// Fragments after which a case ends before that, because the learner keeps them all
     #[arg(long, value_name = "N", default_value_t = 8000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     fragments: u64,
-    /// Network of the recorded episode
-    #[arg(long, value_name = "NAME", default_value = "grid4x4")]
-    scenario: String,
     #[command(flatten)]
-    sumo: SumoOption,
-}
-
-/// Clients that one machine can have: ports are 16 bits.
-pub(super) fn number(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(number) if (1..=20_000).contains(&number) => Ok(number),
-        _ => Err("it must be a number from 1 to 20000".to_owned()),
-    }
+    recorded: Recorded,
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -72,10 +59,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 impl Ingest {
     pub(super) fn run(&self, progress: Progress<'_>) -> Outcome<Report> {
         let options = ingest::Options {
-            programs: programs()?,
-            home: self.sumo.locate()?,
-            name: self.scenario.clone(),
-            scenario: Scenario::load(&self.scenario).or_bad_input()?,
+            setup: self.recorded.setup()?,
             actors: self.actors.clone(),
             seconds: self.seconds,
             fragments: self.fragments,

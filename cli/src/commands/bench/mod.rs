@@ -5,6 +5,7 @@ mod env;
 mod episodes;
 mod ingest;
 mod live;
+mod recorded;
 mod traci;
 mod train;
 mod update;

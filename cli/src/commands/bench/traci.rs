@@ -18,10 +18,10 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Ways:
-  polling                       steps of a second; at a decision the list of vehicles, three getters for each
-  subscription by the second    steps of a second; a standing subscription to all vehicles around a junction
+  polling                       steps of a second; at a decision three getters for each vehicle
+  subscription by the second    steps of a second; a standing subscription to all vehicles
   subscription by the decision  the same subscription; steps to the next change of a signal
-  subscription for the moment   those steps; a new subscription, for the second of each decision alone
+  subscription for the moment   those steps; at each decision a subscription for its second alone
 
 Examples:
   cross bench traci                                    grid4x4 and grid5x5
@@ -29,8 +29,9 @@ Examples:
   cross bench traci --python ~/venv/bin/python3 --json
 
 A client that is not here is named on standard error and left out:
-  traci-rs        is a program of its own: cargo build --release -p cross-bench --example traci_rs_episode
-  Python's traci  is taken from the tools folder of the SUMO in use, else from where Python finds it")]
+  traci-rs        is a program of its own, which is built by
+                  cargo build --release -p cross-bench --example traci_rs_episode
+  Python's traci  is that of the tools folder of the SUMO in use, else what Python finds")]
 pub(crate) struct Traci {
     #[command(flatten)]
     episodes: Episodes,

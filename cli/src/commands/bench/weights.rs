@@ -1,12 +1,9 @@
 //! `cross bench weights`.
 
-use super::bare::programs;
-use super::ingest::number;
-use crate::failure::{OrBadInput, Outcome};
-use crate::sumo::SumoOption;
+use super::recorded::{Recorded, clients};
+use crate::failure::Outcome;
 use clap::Args;
 use cross_bench::{Progress, Report, weights};
-use cross_sim::scenario::Scenario;
 
 /// How long new weights take to reach the last of one to a thousand watchers, beside tonic's own server stream
 ///
@@ -33,25 +30,19 @@ How to read it:
 A thousand watchers need some 2,300 open files: the soft limit is raised to the hard one (ulimit -Hn).")]
 pub(crate) struct Weights {
     /// Numbers of watchers, one case each
-    #[arg(long, value_name = "N,...", value_delimiter = ',', default_values_t = [1, 10, 100, 1000], value_parser = number)]
+    #[arg(long, value_name = "N,...", value_delimiter = ',', default_values_t = [1, 10, 100, 1000], value_parser = clients)]
     watchers: Vec<usize>,
     /// New versions in each case, whose medians count
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     versions: u32,
-    /// Network whose data the updates learn from
-    #[arg(long, value_name = "NAME", default_value = "grid4x4")]
-    scenario: String,
     #[command(flatten)]
-    sumo: SumoOption,
+    recorded: Recorded,
 }
 
 impl Weights {
     pub(super) fn run(&self, progress: Progress<'_>) -> Outcome<Report> {
         let options = weights::Options {
-            programs: programs()?,
-            home: self.sumo.locate()?,
-            name: self.scenario.clone(),
-            scenario: Scenario::load(&self.scenario).or_bad_input()?,
+            setup: self.recorded.setup()?,
             watchers: self.watchers.clone(),
             versions: self.versions,
         };
