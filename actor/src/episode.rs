@@ -160,11 +160,18 @@ impl Episode<'_> {
     ) -> Result<(f64, bool), Interrupted> {
         let started = Instant::now();
         let decision = self.decide(rng)?;
-        let policy_time = started.elapsed();
-        recorder.decide(self.env.observation(), &decision);
+        let mut policy_time = started.elapsed();
 
         let before = self.env.timings();
-        let step = self.env.step(&decision.actions).map_err(Interrupted::Simulator)?;
+        let step = self.env.begin_step(&decision.actions).map_err(Interrupted::Simulator)?;
+        // What the next decision needs and this one did not, while SUMO simulates.
+        recorder.decide(step.before(), &decision);
+        let started = Instant::now();
+        if let Some(policy) = self.behaviour.policy.as_mut() {
+            policy.catch_up();
+        }
+        policy_time += started.elapsed();
+        let step = step.complete().map_err(Interrupted::Simulator)?;
         let rewards = step.rewards.iter().map(|&r| f64::from(r)).sum();
         let done = step.done;
         recorder.reward(step.rewards);

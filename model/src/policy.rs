@@ -39,6 +39,8 @@ pub struct Policy {
     critic: Critic,
     network: Option<Begun>,
     state: RecurrentState,
+    /// The critic's recurrent state is one observation behind the actor's; that observation is still in the buffers.
+    critic_behind: bool,
     buffers: Buffers,
 }
 
@@ -80,6 +82,7 @@ impl Policy {
             metadata,
             network: None,
             state: RecurrentState::default(),
+            critic_behind: false,
             buffers: Buffers::default(),
         })
     }
@@ -110,6 +113,7 @@ impl Policy {
         let spec = NetworkSpec::new(layout, &self.metadata.env, &self.metadata.model)?;
         let zeros = || vec![0.0; spec.agents.len() * self.metadata.model.hidden as usize];
         self.state = RecurrentState { actor: zeros(), critic: zeros() };
+        self.critic_behind = false;
         let constant = self.actor.constant(&spec);
         self.network = Some(Begun { spec, constant });
         Ok(())
@@ -126,6 +130,7 @@ impl Policy {
             }
         }
         self.state = state;
+        self.critic_behind = false;
         Ok(())
     }
 
@@ -135,6 +140,8 @@ impl Policy {
     /// [`ModelError`] if the bytes are damaged, foreign or of another configuration; the old weights then remain.
     pub fn replace_weights(&mut self, bytes: &[u8]) -> Result<(), ModelError> {
         let other = Self::with(self.isa, bytes)?;
+        // What the old weights have seen is theirs to remember.
+        self.catch_up();
         if other.metadata.model != self.metadata.model || other.metadata.env != self.metadata.env {
             return Err(ModelError::Mismatch {
                 what: "policy",
@@ -149,20 +156,34 @@ impl Policy {
         Ok(())
     }
 
-    /// Chooses a phase for every agent and advances the recurrent state.
+    /// Chooses a phase for every agent and advances the recurrent state, the critic's with the next
+    /// [`Policy::catch_up`] or whatever needs it.
     ///
     /// # Errors
     /// [`ModelError::Shape`] if the observation is not of the network that [`Policy::begin_episode`] named, or holds a
     /// phase that an agent does not have.
     pub fn act(&mut self, observation: &Observation, mode: ActMode<'_>) -> Result<Decision, ModelError> {
+        self.catch_up();
         let Begun { spec, constant } = self.network.as_ref().ok_or_else(no_episode)?;
         check(spec, observation)?;
-        let Buffers { seen, actor, critic, log_probs } = &mut self.buffers;
+        let Buffers { seen, actor, log_probs, .. } = &mut self.buffers;
         spec.look(&observation.counts, &observation.phases, seen);
         self.actor.forward(spec, constant, seen, &mut self.state.actor, actor);
-        self.critic.advance(spec, seen, &mut self.state.critic, critic);
+        self.critic_behind = true;
         log_softmax(spec, &actor.scores, log_probs);
         Ok(choose(spec, log_probs, mode))
+    }
+
+    /// Takes the critic's recurrent state past the last observation. No decision waits for it, so that this can be done
+    /// while SUMO simulates; what is left undone, the next call that needs it does.
+    pub fn catch_up(&mut self) {
+        if !std::mem::take(&mut self.critic_behind) {
+            return;
+        }
+        if let Some(Begun { spec, .. }) = &self.network {
+            let Buffers { seen, critic, .. } = &mut self.buffers;
+            self.critic.advance(spec, seen, &mut self.state.critic, critic);
+        }
     }
 
     /// Log-probability of every phase at the last decision `[phases of all agents]`, in layout order; before the first
@@ -174,7 +195,8 @@ impl Policy {
 
     /// The recurrent state before the next [`Policy::act`], row-major `[agents, hidden]` each.
     #[must_use]
-    pub fn recurrent_state(&self) -> RecurrentState {
+    pub fn recurrent_state(&mut self) -> RecurrentState {
+        self.catch_up();
         self.state.clone()
     }
 }

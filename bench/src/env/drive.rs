@@ -132,8 +132,10 @@ pub(crate) fn by_policy(
     let mut chosen = Vec::new();
     loop {
         let decision = policy.act(env.observation(), ActMode::Sample(&mut rng))?;
-        recorder.decide(env.observation(), &decision);
-        let step = env.step(&decision.actions)?;
+        let step = env.begin_step(&decision.actions)?;
+        recorder.decide(step.before(), &decision);
+        policy.catch_up();
+        let step = step.complete()?;
         let done = step.done;
         recorder.reward(step.rewards);
         chosen.push(decision.actions);

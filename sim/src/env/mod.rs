@@ -5,8 +5,9 @@
 //!                                                                                       └──> SecondObserver, if one watches
 //! ```
 //! Between decisions SUMO runs several seconds in one command: to the end of yellow where a phase changes, then to the
-//! next decision. All that it needs for that, and the question what it looks like then, goes out at once. Only an episode that is [observed](Env::step_observed) is simulated second by second; what happens in it
-//! is the same.
+//! next decision. All that it needs for that, and the question who is there then, goes out at once, and whoever has something
+//! else to do meanwhile [does](Env::begin_step). Only an episode that is [observed](Env::step_observed) is simulated second by
+//! second; what happens in it is the same.
 //!
 //! With [`Signals::Program`] SUMO sets the lights itself: a step passes the interval of a decision and looks on. The phase
 //! of an agent is then the green that its light shows or, in between, the one that it showed at an earlier decision.
@@ -17,11 +18,13 @@ mod options;
 mod programs;
 mod signals;
 mod simulation;
+mod under_way;
 mod vehicles;
 
 pub use observer::{SecondObserver, SecondView};
 pub use options::EnvOptions;
 pub use signals::{Signals, SumoProgram};
+pub use under_way::StepUnderWay;
 
 use crate::error::SimError;
 use crate::lanes::LaneTable;
@@ -30,7 +33,7 @@ use crate::observe;
 use crate::scenario::Scenario;
 use crate::signal::{Command, SignalTiming};
 use crate::trajectory::Observation;
-use cross_traci::{ErrorKind, SumoHome};
+use cross_traci::{ErrorKind, SumoHome, TraciError};
 use programs::ProgramFile;
 use simulation::{Second, Simulation};
 use std::sync::Arc;
@@ -222,7 +225,30 @@ impl Env {
     /// [`SimError::EpisodeOver`] after the last step: nothing has changed then. [`SimError::Traci`] if SUMO failed; the
     /// episode is lost then, SUMO has ended, and the environment can be reset.
     pub fn step(&mut self, actions: &[u8]) -> Result<Step<'_>, SimError> {
-        self.advance(actions, None)
+        self.begin_step(actions)?.complete()
+    }
+
+    /// As [`step`](Self::step), but returns when SUMO has been told, so that there is time for something else while it
+    /// simulates.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step).
+    pub fn begin_step(&mut self, actions: &[u8]) -> Result<StepUnderWay<'_>, SimError> {
+        let mut simulation = self.take_simulation()?;
+        let begun = Instant::now();
+        let driven = self.options.signals == Signals::Driven;
+        let ordered = self
+            .order(&mut simulation, actions, &mut |simulation, _, seconds| simulation.run(seconds))
+            // What SUMO's own program shows is asked first.
+            .and_then(|()| if driven { Ok(simulation.begin()?) } else { Ok(()) });
+        self.timings.traci += begun.elapsed();
+        match ordered {
+            Ok(()) => Ok(StepUnderWay { env: self, simulation }),
+            Err(error) => {
+                self.put_back(simulation, &error);
+                Err(error)
+            }
+        }
     }
 
     /// As [`step`](Self::step), second by second, each shown to the observer.
@@ -234,44 +260,48 @@ impl Env {
         actions: &[u8],
         observer: &mut dyn SecondObserver,
     ) -> Result<Step<'_>, SimError> {
-        self.advance(actions, Some(observer))
+        let mut simulation = self.take_simulation()?;
+        let begun = Instant::now();
+        let mut watch = |simulation: &mut Simulation, lanes: &mut LaneTable, seconds| {
+            for _ in 0..seconds {
+                if let Some(second) = simulation.watch(lanes)? {
+                    observer.second(&view(second, lanes));
+                }
+            }
+            Ok(())
+        };
+        let outcome = self.order(&mut simulation, actions, &mut watch).and_then(|()| {
+            if let Some(second) = simulation.watched(&mut self.lanes)? {
+                observer.second(&view(second, &self.lanes));
+            }
+            self.follow(&mut simulation)
+        });
+        self.conclude(begun, simulation, outcome)
     }
 
-    fn advance(
-        &mut self,
-        actions: &[u8],
-        observer: Option<&mut dyn SecondObserver>,
-    ) -> Result<Step<'_>, SimError> {
+    /// The running simulation, if a step can be made with it. It has to be put back.
+    fn take_simulation(&mut self) -> Result<Simulation, SimError> {
         let limit = self.options.config.steps_per_episode();
-        if self.simulation.is_none() {
-            return Err(SimError::NotRunning);
-        }
-        if self.steps >= limit {
+        if self.simulation.is_some() && self.steps >= limit {
             return Err(SimError::EpisodeOver { steps: limit });
         }
-        let begun = Instant::now();
-        let outcome = self.carry_out(actions, observer);
-        let stepping = self.simulation.as_mut().map_or(Duration::ZERO, Simulation::take_stepping);
-        if let Err(error) = outcome {
-            if error.is_from_sumo() {
-                // Whatever state it is in, it is none that the episode could go on from.
-                self.simulation = None;
-            }
-            return Err(error);
-        }
-        self.steps += 1;
-        self.look();
-        self.timings.sumo += stepping;
-        self.timings.traci += begun.elapsed().saturating_sub(stepping);
-        Ok(Step { rewards: &self.rewards, done: self.steps >= limit })
+        self.simulation.take().ok_or(SimError::NotRunning)
     }
 
-    fn carry_out(
+    /// Keeps the simulation unless the error is SUMO's: then it is in no state that the episode could go on from.
+    fn put_back(&mut self, simulation: Simulation, error: &SimError) {
+        if !error.is_from_sumo() {
+            self.simulation = Some(simulation);
+        }
+    }
+
+    /// Has SUMO show what the actions lead to; `pass` is for the seconds that go by in between.
+    fn order(
         &mut self,
+        simulation: &mut Simulation,
         actions: &[u8],
-        mut observer: Option<&mut dyn SecondObserver>,
+        pass: &mut dyn FnMut(&mut Simulation, &mut LaneTable, u32) -> Result<(), TraciError>,
     ) -> Result<(), SimError> {
-        let Some(simulation) = &mut self.simulation else { return Err(SimError::NotRunning) };
         let mut states = Vec::new();
         let (decided, passed) = match self.options.signals {
             Signals::Driven => (Some(self.signals.decide(actions)?), None),
@@ -285,30 +315,40 @@ impl Env {
                 continue;
             };
             simulation.show(states.drain(..))?;
-            match &mut observer {
-                None => simulation.run(seconds)?,
-                Some(observer) => {
-                    for _ in 0..seconds {
-                        if let Some(second) = simulation.watch(&mut self.lanes)? {
-                            observer.second(&view(second, &self.lanes));
-                        }
-                    }
-                }
-            }
-        }
-        if let Some(observer) = &mut observer
-            && let Some(second) = simulation.watched(&mut self.lanes)?
-        {
-            observer.second(&view(second, &self.lanes));
-        }
-        self.time = simulation.time();
-        if let Signals::Program(program) = self.options.signals {
-            programs::follow(program, simulation, &self.layout, &mut self.signals)?;
-        }
-        if observer.is_none() {
-            simulation.count(&mut self.lanes)?;
+            pass(simulation, &mut self.lanes, seconds)?;
         }
         Ok(())
+    }
+
+    /// Sees what SUMO's own program shows, if one runs.
+    fn follow(&mut self, simulation: &mut Simulation) -> Result<(), SimError> {
+        match self.options.signals {
+            Signals::Driven => Ok(()),
+            Signals::Program(program) => {
+                programs::follow(program, simulation, &self.layout, &mut self.signals)
+            }
+        }
+    }
+
+    /// Ends a step whose work began at `begun` and has this outcome.
+    fn conclude(
+        &mut self,
+        begun: Instant,
+        mut simulation: Simulation,
+        outcome: Result<(), SimError>,
+    ) -> Result<Step<'_>, SimError> {
+        let stepping = simulation.take_stepping();
+        if let Err(error) = outcome {
+            self.put_back(simulation, &error);
+            return Err(error);
+        }
+        self.time = simulation.time();
+        self.simulation = Some(simulation);
+        self.steps += 1;
+        self.look();
+        self.timings.sumo += stepping;
+        self.timings.traci += begun.elapsed().saturating_sub(stepping);
+        Ok(Step { rewards: &self.rewards, done: self.steps >= self.options.config.steps_per_episode() })
     }
 
     /// Brings observation and rewards up to the lane counts.

@@ -43,6 +43,8 @@ pub(super) struct Simulation {
     vehicles: Vehicles,
     time: f64,
     loads: u32,
+    /// SUMO was asked who is there, the answer not being there yet.
+    asked_who: bool,
     /// The watched second whose vehicles SUMO was asked for, the answer not being there yet.
     asked: Option<(f64, Events)>,
     /// Time spent waiting for SUMO to simulate, as far as it was told.
@@ -83,6 +85,7 @@ impl Simulation {
             vehicles: Vehicles::default(),
             time: f64::from(scenario.begin),
             loads: 0,
+            asked_who: false,
             asked: None,
             stepping: Duration::ZERO,
         })
@@ -103,7 +106,7 @@ impl Simulation {
         self.sumo.client().load(&arguments)?;
         self.time = f64::from(scenario.begin);
         self.loads += 1;
-        self.asked = None;
+        (self.asked_who, self.asked) = (false, None);
         Ok(Some(self))
     }
 
@@ -159,12 +162,29 @@ impl Simulation {
         self.sumo.client().post_step(self.time)
     }
 
-    /// Counts the vehicles of this moment into a table, which is emptied first.
-    pub(super) fn count(&mut self, lanes: &mut LaneTable) -> Result<Traffic, TraciError> {
+    /// Has SUMO begin with all that it was told, and say who is there then. Nothing else may be asked before
+    /// [`count`](Self::count).
+    pub(super) fn begin(&mut self) -> Result<(), TraciError> {
         let client = self.sumo.client();
         let mut batch = client.batch();
         Vehicles::ask_who(&mut batch);
-        self.vehicles.are(batch.send()?.value(0)?.strings().map_err(unreadable)?);
+        batch.post()?;
+        self.asked_who = true;
+        client.flush()
+    }
+
+    /// Counts the vehicles of this moment into a table, which is emptied first.
+    pub(super) fn count(&mut self, lanes: &mut LaneTable) -> Result<Traffic, TraciError> {
+        if !self.asked_who {
+            self.begin()?;
+        }
+        self.asked_who = false;
+        let client = self.sumo.client();
+        // What was shown, and the steps.
+        while client.waiting() > 1 {
+            client.take()?;
+        }
+        self.vehicles.are(client.take()?.value(0)?.strings().map_err(unreadable)?);
         self.vehicles.ask(client)?;
         self.vehicles.count(client.take()?, lanes)
     }
