@@ -13,7 +13,7 @@ IN_ENV := . .deps/environment.sh && unset CARGO_BUILD_TARGET && export CARGO_BUI
 IN_TARGET := --target-dir '$(TARGET)'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup build train baselines test test-setup fuzz faults soak images verify fix clean distclean
+.PHONY: help setup build train baselines results test test-setup fuzz faults soak images verify fix clean distclean
 
 help: ## Show this list
 	@echo 'Two commands:  make train   and   make test'
@@ -38,6 +38,9 @@ train: build ## Train CROSS on real SUMO, then compare it with Fixed-Time and Ma
 
 baselines: build ## Evaluate the rules on the eight scenarios and write docs/baselines.md (an hour of CPU time; resumable)
 	@$(IN_ENV) exec '$(TARGET)/release/cross' baselines --markdown docs/baselines.md $(ARGS)
+
+results: build ## Evaluate the published policies beside the rules and write docs/results.md (two hours of CPU time; resumable)
+	@$(IN_ENV) exec '$(TARGET)/release/cross' results --markdown docs/results.md $(ARGS)
 
 test: build test-setup ## Every test: set-up, documentation, units, and whole clusters with real SUMO
 	@$(IN_ENV) $(CARGO) test $(IN_TARGET) --release --workspace

@@ -9,8 +9,12 @@ use cross_learner::checkpoint::reader;
 use cross_model::Policy;
 use cross_sim::controller::{Controller, RuleBased};
 use cross_sim::scenario::Scenario;
+use sha2::{Digest, Sha256};
 use std::path::Path;
 use std::sync::Arc;
+
+/// Bytes of a hash that tell weights apart.
+const HASH_BYTES: usize = 6;
 
 /// A policy from which every worker makes a controller of its own.
 #[derive(Debug, Clone)]
@@ -24,15 +28,21 @@ pub(crate) enum PolicySpec {
 pub(crate) struct Weights {
     /// What tables call it.
     pub(crate) name: String,
+    /// First digits of the SHA-256 of the bytes.
+    pub(crate) hash: String,
     bytes: Arc<[u8]>,
     /// Environment that it was trained for.
     pub(crate) env: EnvConfig,
+    /// Scenarios that it was trained on, as far as a checkpoint tells: a file alone does not.
+    pub(crate) trained_on: Vec<String>,
 }
 
 impl Weights {
     /// Reads and checks what a path stands for: a run directory (its newest checkpoint), a checkpoint, or a policy file.
     pub(crate) fn read(name: &str, path: &Path) -> Outcome<Self> {
-        Self::of(name, reader::load_policy(path).or_bad_input()?.1)
+        let (metadata, bytes) = reader::load_policy(path).or_bad_input()?;
+        let trained_on = metadata.map_or_else(Vec::new, |metadata| metadata.layouts.into_keys().collect());
+        Ok(Self { trained_on, ..Self::of(name, bytes)? })
     }
 
     fn of(name: &str, bytes: Vec<u8>) -> Outcome<Self> {
@@ -40,7 +50,14 @@ impl Weights {
             .map_err(anyhow::Error::from)
             .with_context(|| format!("cannot use the policy {name}"))
             .or_bad_input()?;
-        Ok(Self { name: name.to_owned(), env: policy.env().clone(), bytes: bytes.into() })
+        let hash = hex::encode(&Sha256::digest(&bytes)[..HASH_BYTES]);
+        Ok(Self {
+            name: name.to_owned(),
+            hash,
+            env: policy.env().clone(),
+            bytes: bytes.into(),
+            trained_on: Vec::new(),
+        })
     }
 }
 
@@ -69,6 +86,22 @@ impl PolicySpec {
         match self {
             Self::Rule(rule) => rule.name(),
             Self::Learned(weights) => &weights.name,
+        }
+    }
+
+    /// The rule, if it is one.
+    pub(crate) fn rule(&self) -> Option<RuleBased> {
+        match self {
+            Self::Rule(rule) => Some(*rule),
+            Self::Learned(_) => None,
+        }
+    }
+
+    /// What tells it from every other policy: a rule's name, or the hash of the weights, however they are called.
+    pub(crate) fn key(&self) -> String {
+        match self {
+            Self::Rule(rule) => rule.name().to_owned(),
+            Self::Learned(weights) => format!("weights-{}", weights.hash),
         }
     }
 

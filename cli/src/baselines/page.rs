@@ -1,6 +1,7 @@
 //! The report as a page of Markdown: `docs/baselines.md`.
 
 use super::agreement::Comparison;
+use super::markdown::{code, heading, line, one_line, row, short};
 use super::report::{Figure, PolicyReport, Report, ScenarioReport};
 use crate::paper;
 use cross_sim::controller::RuleBased;
@@ -10,8 +11,6 @@ use std::fmt::Write as _;
 const INTRODUCTION: &str = include_str!("../../data/baselines-introduction.md");
 /// The metrics of which agreement is claimed, in the order of the tables.
 const JUDGED: [Metric; 4] = [Metric::QueueLength, Metric::Speed, Metric::TripTime, Metric::TripDelay];
-/// Digits of a hash that tell files apart.
-const HASH_DIGITS: usize = 12;
 
 /// The whole page.
 pub(crate) fn render(report: &Report) -> String {
@@ -24,7 +23,7 @@ pub(crate) fn render(report: &Report) -> String {
     page
 }
 
-fn protocol(page: &mut String, report: &Report) {
+pub(super) fn protocol(page: &mut String, report: &Report) {
     let env = &report.env;
     line(page, "\n## Protocol\n");
     line(
@@ -146,7 +145,7 @@ fn results(page: &mut String, scenario: &ScenarioReport) {
 }
 
 /// A row of the paper, where it has one.
-fn published(page: &mut String, scenario: &ScenarioReport, label: &str, method: &str) {
+pub(super) fn published(page: &mut String, scenario: &ScenarioReport, label: &str, method: &str) {
     let found = Metric::PAPER.map(|metric| paper::lookup(&scenario.scenario, method, metric.key()));
     if found.iter().all(Option::is_none) {
         return;
@@ -158,7 +157,7 @@ fn published(page: &mut String, scenario: &ScenarioReport, label: &str, method: 
 }
 
 /// What the paper does not report, and what became of the vehicles.
-fn others(page: &mut String, scenario: &ScenarioReport) {
+pub(super) fn others(page: &mut String, scenario: &ScenarioReport) {
     let further: Vec<_> = Metric::ALL.into_iter().filter(|metric| !Metric::PAPER.contains(metric)).collect();
     let fates = ["finished", "unfinished", "never_inserted", "teleports"];
     let mut titles = header("rule", &further);
@@ -185,7 +184,7 @@ fn others(page: &mut String, scenario: &ScenarioReport) {
     }
 }
 
-fn header(first: &str, metrics: &[Metric]) -> Vec<String> {
+pub(super) fn header(first: &str, metrics: &[Metric]) -> Vec<String> {
     let titles = metrics.iter().map(|metric| {
         let arrow = if metric.better() == Better::Lower { '↓' } else { '↑' };
         match metric.unit() {
@@ -196,7 +195,7 @@ fn header(first: &str, metrics: &[Metric]) -> Vec<String> {
     std::iter::once(first.to_owned()).chain(titles).collect()
 }
 
-fn figure(figure: &Figure, metric: Metric) -> String {
+pub(super) fn figure(figure: &Figure, metric: Metric) -> String {
     let digits = metric.digits();
     format!("{:.digits$} ({:.digits$})", figure.mean, figure.std)
 }
@@ -218,7 +217,7 @@ fn verdict(comparison: &Comparison) -> &'static str {
 
 /// The rule, bold where it is the paper's variant of Max-Pressure.
 fn name(policy: &PolicyReport) -> String {
-    let code = code(policy.policy);
+    let code = code(&policy.policy);
     if policy.paper_method.is_some() && policy.policy != RuleBased::FixedTime.name() {
         format!("**{code}**")
     } else {
@@ -227,8 +226,8 @@ fn name(policy: &PolicyReport) -> String {
 }
 
 /// The rule with what it is.
-fn marked(policy: &PolicyReport) -> String {
-    let mut text = code(policy.policy);
+pub(super) fn marked(policy: &PolicyReport) -> String {
+    let mut text = code(&policy.policy);
     let mut marks = Vec::new();
     if policy.paper_method.is_some() && policy.policy != RuleBased::FixedTime.name() {
         marks.push("as published");
@@ -265,8 +264,8 @@ fn all_seeds(scenario: &ScenarioReport) -> String {
     let mut groups: Vec<(&[u32], Vec<&str>)> = Vec::new();
     for policy in &scenario.policies {
         match groups.iter_mut().find(|(seeds, _)| *seeds == policy.seeds) {
-            Some((_, policies)) => policies.push(policy.policy),
-            None => groups.push((&policy.seeds, vec![policy.policy])),
+            Some((_, policies)) => policies.push(&policy.policy),
+            None => groups.push((&policy.seeds, vec![&policy.policy])),
         }
     }
     let text = groups.iter().enumerate().map(|(number, (of, policies))| match number {
@@ -274,45 +273,6 @@ fn all_seeds(scenario: &ScenarioReport) -> String {
         _ => format!("{} ({})", seeds(of), policies.join(", ")),
     });
     text.collect::<Vec<_>>().join("; ")
-}
-
-fn short(hash: &str) -> String {
-    hash.chars().take(HASH_DIGITS).collect()
-}
-
-/// Text as it stands; whatever it holds ends neither the code nor the line.
-fn code(text: &str) -> String {
-    let text = one_line(text);
-    if text.contains('`') { format!("`` {text} ``") } else { format!("`{text}`") }
-}
-
-/// Text in a heading, where nothing in it is formatting.
-fn heading(text: &str) -> String {
-    one_line(text).chars().fold(String::new(), |mut text, letter| {
-        if "\\`*_[]<>#|&".contains(letter) {
-            text.push('\\');
-        }
-        text.push(letter);
-        text
-    })
-}
-
-fn one_line(text: &str) -> String {
-    text.split(|letter: char| letter.is_whitespace() || letter.is_control())
-        .filter(|word| !word.is_empty())
-        .collect::<Vec<_>>()
-        .join(" ")
-}
-
-fn row(page: &mut String, cells: &[String]) {
-    // A bar would begin a cell, in code as well.
-    let cells: Vec<_> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
-    line(page, &format!("| {} |", cells.join(" | ")));
-}
-
-fn line(page: &mut String, text: &str) {
-    page.push_str(text);
-    page.push('\n');
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
-//! Which episodes make the table: scenarios, rules, seeds.
+//! Which episodes make a table: scenarios, policies, seeds.
 
 use super::store::Made;
 use crate::evaluate;
 use crate::failure::{Failure, OrBadInput, Outcome};
+use crate::policy::PolicySpec;
 use cross_config::EnvConfig;
 use cross_sim::controller::{Controller, MaxPressure, RuleBased};
 use cross_sim::layout::load_layout;
@@ -15,8 +16,10 @@ pub(crate) const SCENARIOS: [&str; 8] =
 
 /// Seeds where nobody says how many. The traffic of `grid5x5` is chaotic: few seeds say little about it. Of rules that nobody
 /// has published figures of, one seed has to do on the large scenarios, whose episodes are the long ones.
-fn default_seeds(scenario: &str, policy: RuleBased) -> u32 {
-    let published = policy == RuleBased::FixedTime || RuleBased::MAX_PRESSURE_VARIANTS.contains(&policy);
+fn default_seeds(scenario: &str, policy: &PolicySpec) -> u32 {
+    let published = policy
+        .rule()
+        .is_some_and(|rule| rule == RuleBased::FixedTime || RuleBased::MAX_PRESSURE_VARIANTS.contains(&rule));
     let large = SCENARIOS[2..].contains(&scenario);
     match scenario {
         "grid5x5" if published => 10,
@@ -27,17 +30,17 @@ fn default_seeds(scenario: &str, policy: RuleBased) -> u32 {
 
 /// Rules where nobody names any: all but the random one, which is nobody's baseline. `max-pressure` stands for the paper's
 /// variant, which is one of those listed by its full name.
-fn default_policies() -> Vec<RuleBased> {
-    RuleBased::ALL.into_iter().filter(|&rule| rule != RuleBased::Random).collect()
+fn default_policies() -> Vec<PolicySpec> {
+    RuleBased::ALL.into_iter().filter(|&rule| rule != RuleBased::Random).map(PolicySpec::Rule).collect()
 }
 
-/// A scenario with its rules and seeds.
+/// A scenario with its policies and seeds.
 #[derive(Debug)]
 pub(crate) struct Subject {
     pub(crate) scenario: Scenario,
     /// Each once; no alias among them.
-    pub(crate) policies: Vec<RuleBased>,
-    /// Seeds of every rule, if somebody said how many.
+    pub(crate) policies: Vec<PolicySpec>,
+    /// Seeds of every policy, if somebody said how many.
     seeds: Option<u32>,
     /// Vehicles that its demand defines.
     pub(crate) vehicles: u64,
@@ -63,7 +66,7 @@ pub(crate) struct Plan {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Job<'p> {
     pub(crate) subject: &'p Subject,
-    pub(crate) policy: RuleBased,
+    pub(crate) policy: &'p PolicySpec,
     pub(crate) seed: u32,
 }
 
@@ -72,7 +75,7 @@ impl Plan {
     /// missing; one that was named must be there.
     pub(crate) fn new(
         scenarios: &[String],
-        policies: &[RuleBased],
+        policies: &[PolicySpec],
         seeds: Option<u32>,
         env: EnvConfig,
         sumo_version: String,
@@ -113,7 +116,7 @@ impl Plan {
             .subjects
             .iter()
             .flat_map(|subject| {
-                subject.policies.iter().flat_map(move |&policy| {
+                subject.policies.iter().flat_map(move |policy| {
                     subject.seeds(policy).into_iter().map(move |seed| Job { subject, policy, seed })
                 })
             })
@@ -125,13 +128,18 @@ impl Plan {
 
     /// What the result of an episode depends on.
     pub(crate) fn made(&self, job: &Job<'_>) -> Made {
-        Made::new(&job.subject.scenario, &self.env, &self.sumo_version, job.policy, job.seed)
+        Made::new(&job.subject.scenario, self.env(job.policy), &self.sumo_version, job.policy, job.seed)
+    }
+
+    /// The environment that a policy is evaluated in: its own if it has one.
+    pub(crate) fn env<'p>(&'p self, policy: &'p PolicySpec) -> &'p EnvConfig {
+        policy.env().unwrap_or(&self.env)
     }
 }
 
 impl Subject {
-    /// SUMO seeds of a rule.
-    pub(crate) fn seeds(&self, policy: RuleBased) -> Vec<u32> {
+    /// SUMO seeds of a policy.
+    pub(crate) fn seeds(&self, policy: &PolicySpec) -> Vec<u32> {
         evaluate::seeds(self.seeds.unwrap_or_else(|| default_seeds(&self.scenario.name, policy)))
     }
 }
@@ -140,13 +148,16 @@ impl Job<'_> {
     /// About how much work it is, in no unit: SUMO's time goes with the vehicles that are there, and a rule that lets them
     /// wait has more of them.
     pub(crate) fn weight(&self) -> f64 {
-        let waiting = match self.policy {
-            RuleBased::MaxPressure
-            | RuleBased::MaxPressureStopped
-            | RuleBased::MaxPressureAll
-            | RuleBased::MaxPressureStopped50m
-            | RuleBased::Greedy => 1.0,
-            _ => 1.5,
+        let waiting = match self.policy.rule() {
+            None
+            | Some(
+                RuleBased::MaxPressure
+                | RuleBased::MaxPressureStopped
+                | RuleBased::MaxPressureAll
+                | RuleBased::MaxPressureStopped50m
+                | RuleBased::Greedy,
+            ) => 1.0,
+            Some(_) => 1.5,
         };
         // A grid that jams costs more than its vehicles tell.
         let jams = if self.subject.scenario.name == "grid5x5" { 2.0 } else { 1.0 };
@@ -161,17 +172,21 @@ pub(crate) fn published_variant(scenario: &Scenario) -> RuleBased {
     variant.name().parse().unwrap_or(RuleBased::MaxPressure)
 }
 
-/// Rules without aliases, each once, in their order.
-fn resolved(policies: &[RuleBased], scenario: &Scenario) -> Vec<RuleBased> {
-    let mut distinct = Vec::new();
-    for &policy in policies {
-        let policy = if policy == RuleBased::MaxPressure { published_variant(scenario) } else { policy };
-        if !distinct.contains(&policy) {
+/// Policies without aliases, each once; rules first, in their order.
+fn resolved(policies: &[PolicySpec], scenario: &Scenario) -> Vec<PolicySpec> {
+    let mut distinct: Vec<PolicySpec> = Vec::new();
+    for policy in policies {
+        let policy = match policy.rule() {
+            Some(RuleBased::MaxPressure) => PolicySpec::Rule(published_variant(scenario)),
+            _ => policy.clone(),
+        };
+        if distinct.iter().all(|other| other.key() != policy.key()) {
             distinct.push(policy);
         }
     }
     // In the order of the table, however they were asked for.
-    distinct.sort_by_key(|policy| RuleBased::ALL.iter().position(|rule| rule == policy));
+    let place = |policy: &PolicySpec| RuleBased::ALL.iter().position(|&rule| Some(rule) == policy.rule());
+    distinct.sort_by_key(|policy| place(policy).unwrap_or(usize::MAX));
     distinct
 }
 
@@ -181,13 +196,18 @@ mod tests {
 
     fn plan(scenarios: &[&str], policies: &[RuleBased], seeds: Option<u32>) -> Outcome<Plan> {
         let scenarios: Vec<_> = scenarios.iter().map(|&name| name.to_owned()).collect();
-        Plan::new(&scenarios, policies, seeds, EnvConfig::default(), "1.28.0".to_owned())
+        let policies: Vec<_> = policies.iter().copied().map(PolicySpec::Rule).collect();
+        Plan::new(&scenarios, &policies, seeds, EnvConfig::default(), "1.28.0".to_owned())
+    }
+
+    fn rules(policies: &[PolicySpec]) -> Vec<RuleBased> {
+        policies.iter().filter_map(PolicySpec::rule).collect()
     }
 
     #[test]
     fn an_alias_is_the_variant_it_stands_for_and_runs_once() {
         let plan = plan(&["grid4x4"], &[RuleBased::MaxPressureAll, RuleBased::MaxPressure], Some(2)).unwrap();
-        assert_eq!(plan.subjects[0].policies, [RuleBased::MaxPressureAll]);
+        assert_eq!(rules(&plan.subjects[0].policies), [RuleBased::MaxPressureAll]);
         assert_eq!(plan.jobs().len(), 2);
     }
 
@@ -209,10 +229,10 @@ mod tests {
     #[test]
     fn the_usual_rules_are_all_but_chance() {
         let plan = plan(&["arterial4x4"], &[], None).unwrap();
-        let policies = &plan.subjects[0].policies;
+        let policies = rules(&plan.subjects[0].policies);
         assert!(!policies.contains(&RuleBased::Random) && !policies.contains(&RuleBased::MaxPressure));
         assert_eq!(policies.len(), RuleBased::ALL.len() - 2);
-        assert_eq!(plan.subjects[0].seeds(RuleBased::FixedTime), [1, 2, 3]);
+        assert_eq!(plan.subjects[0].seeds(&PolicySpec::Rule(RuleBased::FixedTime)), [1, 2, 3]);
         assert_eq!(published_variant(&plan.subjects[0].scenario), RuleBased::MaxPressureAll);
     }
 
@@ -221,7 +241,7 @@ mod tests {
         let counts = |seeds| {
             let plan = plan(&["grid5x5"], &[RuleBased::MaxPressure, RuleBased::Greedy], seeds).unwrap();
             let subject = &plan.subjects[0];
-            let seeds = |policy| subject.seeds(policy).len();
+            let seeds = |rule| subject.seeds(&PolicySpec::Rule(rule)).len();
             (seeds(RuleBased::MaxPressureStopped50m), seeds(RuleBased::Greedy), plan.jobs().len())
         };
         assert_eq!(counts(None), (10, 1, 11));
@@ -232,8 +252,11 @@ mod tests {
     fn long_episodes_come_first() {
         let plan =
             plan(&["grid4x4", "arterial4x4"], &[RuleBased::Greedy, RuleBased::FixedTime], Some(1)).unwrap();
-        let order: Vec<_> =
-            plan.jobs().iter().map(|job| (job.subject.scenario.name.clone(), job.policy)).collect();
+        let order: Vec<_> = plan
+            .jobs()
+            .iter()
+            .map(|job| (job.subject.scenario.name.clone(), job.policy.rule().unwrap()))
+            .collect();
         assert_eq!(
             order,
             [

@@ -6,6 +6,7 @@ use super::reference;
 use super::store::{Episode, Store};
 use crate::failure::{Failure, Outcome};
 use crate::paper;
+use crate::policy::PolicySpec;
 use cross_config::EnvConfig;
 use cross_sim::controller::RuleBased;
 use cross_sim::metrics::Metric;
@@ -42,10 +43,14 @@ pub(crate) struct ScenarioReport {
     pub(crate) policies: Vec<PolicyReport>,
 }
 
-/// A rule on a scenario.
+/// A policy on a scenario.
 #[derive(Debug, Serialize)]
 pub(crate) struct PolicyReport {
-    pub(crate) policy: &'static str,
+    /// The rule's name, or what the weights were called.
+    pub(crate) policy: String,
+    /// What the weights are, if it is learned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) learned: Option<LearnedReport>,
     pub(crate) seeds: Vec<u32>,
     /// What the paper calls it, if it is a rule of the paper in the paper's variant.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -61,6 +66,15 @@ pub(crate) struct PolicyReport {
     pub(crate) paper: Vec<Comparison>,
     /// Beside the independent measurement, over the seeds that both have.
     pub(crate) reference: Vec<Comparison>,
+}
+
+/// What makes a policy a learned one.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct LearnedReport {
+    /// First digits of the hash of the weights.
+    pub(crate) weights: String,
+    /// Whether it was trained on this scenario; false as well if the weights do not tell.
+    pub(crate) trained_here: bool,
 }
 
 /// A metric over the seeds.
@@ -94,19 +108,20 @@ impl Report {
 impl ScenarioReport {
     fn read(plan: &Plan, subject: &Subject, store: &Store) -> Outcome<Self> {
         let mut policies = Vec::new();
-        for &policy in &subject.policies {
+        for policy in &subject.policies {
             let episodes = subject.seeds(policy).into_iter().map(|seed| {
                 let made = plan.made(&super::plan::Job { subject, policy, seed });
                 store.load(&made).ok_or_else(|| {
                     Failure::failed(format!(
-                        "the result of {policy} on {}, seed {seed}, is gone from {}; run the command again",
+                        "the result of {} on {}, seed {seed}, is gone from {}; run the command again",
+                        policy.name(),
                         subject.scenario.name,
                         store.folder().display()
                     ))
                 })
             });
             let episodes: Vec<_> = episodes.collect::<Outcome<_>>()?;
-            let published = published_variant(&subject.scenario) == policy;
+            let published = policy.rule() == Some(published_variant(&subject.scenario));
             policies.push(PolicyReport::new(&subject.scenario.name, policy, published, &episodes));
         }
         mark_strongest(&mut policies, subject.vehicles);
@@ -125,7 +140,7 @@ impl ScenarioReport {
 
 impl PolicyReport {
     /// Sums up; `published` says whether this is the variant with which the paper's Max-Pressure row is reproduced.
-    pub(super) fn new(scenario: &str, policy: RuleBased, published: bool, episodes: &[Episode]) -> Self {
+    pub(super) fn new(scenario: &str, policy: &PolicySpec, published: bool, episodes: &[Episode]) -> Self {
         let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len().max(1) as f64;
         let means = |metric: Metric, wanted: &dyn Fn(u32) -> bool| -> Vec<f64> {
             let episodes = episodes.iter().filter(|episode| wanted(episode.seed));
@@ -136,8 +151,8 @@ impl PolicyReport {
             let deviations = episodes.iter().filter_map(|e| Some(e.metrics.get(metric.key())?.std)).collect();
             Some((metric.key(), Figure { mean: of_means, std: mean(deviations), low, high }))
         };
-        let paper_method = match policy {
-            RuleBased::FixedTime => Some("fixed-time"),
+        let paper_method = match policy.rule() {
+            Some(RuleBased::FixedTime) => Some("fixed-time"),
             _ if published => Some("max-pressure"),
             _ => None,
         };
@@ -146,7 +161,8 @@ impl PolicyReport {
             let ours = Spread::of(&means(metric, &|_| true))?;
             Some(Comparison::with_published(scenario, metric, ours, published))
         });
-        let others: Vec<_> = reference::episodes(scenario, policy).collect();
+        let others: Vec<_> =
+            policy.rule().into_iter().flat_map(|rule| reference::episodes(scenario, rule)).collect();
         let both = |seed: u32| {
             others.iter().any(|other| other.seed == seed) && episodes.iter().any(|own| own.seed == seed)
         };
@@ -161,7 +177,14 @@ impl PolicyReport {
             *vehicles.entry(fate.clone()).or_default() += count / episodes.len() as f64;
         }
         Self {
-            policy: policy.name(),
+            policy: policy.name().to_owned(),
+            learned: match policy {
+                PolicySpec::Rule(_) => None,
+                PolicySpec::Learned(weights) => Some(LearnedReport {
+                    weights: weights.hash.clone(),
+                    trained_here: weights.trained_on.iter().any(|name| name == scenario),
+                }),
+            },
             seeds: episodes.iter().map(|episode| episode.seed).collect(),
             paper_method,
             strongest_max_pressure: false,
@@ -210,7 +233,12 @@ pub(super) mod tests {
                 .map(|(place, &policy)| {
                     let place = f64::from(place);
                     let episodes = [episode(1, 2.0 * place), episode(2, 4.0 * place)];
-                    PolicyReport::new(name, policy, policy == RuleBased::MaxPressureAll, &episodes)
+                    PolicyReport::new(
+                        name,
+                        &PolicySpec::Rule(policy),
+                        policy == RuleBased::MaxPressureAll,
+                        &episodes,
+                    )
                 })
                 .collect();
             mark_strongest(&mut reports, 1473);
@@ -280,7 +308,7 @@ pub(super) mod tests {
             let mut episode = episode(1, factor);
             episode.vehicles.insert("never_inserted".to_owned(), outside);
             episode.metrics.get_mut(Metric::WaitingTime.key()).unwrap().mean = waiting;
-            PolicyReport::new("mine", policy, false, &[episode])
+            PolicyReport::new("mine", &PolicySpec::Rule(policy), false, &[episode])
         };
         let strongest = |outside: f64| {
             let mut policies = [

@@ -4,7 +4,6 @@ use super::plan::{Job, Plan};
 use super::progress::Progress;
 use super::store::Store;
 use crate::failure::{Failure, Outcome};
-use crate::policy::PolicySpec;
 use crate::train::progress::say;
 use crate::train::watch::Watch;
 use cross_sim::controller::ControllerError;
@@ -118,9 +117,9 @@ impl Work<'_> {
 
     fn episode(&self, number: usize, job: &Job<'_>) -> Result<EvalReport, EvaluateError> {
         let scenario = &job.subject.scenario;
-        let setting = Setting::new(self.home, scenario, &self.plan.env);
-        let policy = PolicySpec::Rule(job.policy);
-        let make = || policy.controller(scenario).map_err(|error| ControllerError::from(error.to_string()));
+        let setting = Setting::new(self.home, scenario, self.plan.env(job.policy));
+        let make =
+            || job.policy.controller(scenario).map_err(|error| ControllerError::from(error.to_string()));
         let step = |at: SeedProgress| {
             self.progress.step(number, job.weight() * f64::from(at.step) / f64::from(at.steps.max(1)));
             if self.stop_wanted() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -137,7 +136,8 @@ impl Work<'_> {
     }
 
     fn fail(&self, job: &Job<'_>, failure: &Failure) {
-        let text = format!("{} on {}, seed {}: {failure}", job.policy, job.subject.scenario.name, job.seed);
+        let text =
+            format!("{} on {}, seed {}: {failure}", job.policy.name(), job.subject.scenario.name, job.seed);
         say(&format!("failed: {text}"));
         self.refuse(text);
     }

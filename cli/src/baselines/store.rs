@@ -5,10 +5,10 @@
 
 use crate::failure::{Failure, Outcome};
 use crate::output_file::OutputFile;
+use crate::policy::PolicySpec;
 use crate::train::run_dir::write_atomically;
 use anyhow::Context;
 use cross_config::EnvConfig;
-use cross_sim::controller::RuleBased;
 use cross_sim::evaluate::EvalReport;
 use cross_sim::metrics::{MeanStd, Metric};
 use cross_sim::scenario::{Scenario, SumoOptions};
@@ -42,7 +42,7 @@ impl Made {
         scenario: &Scenario,
         env: &EnvConfig,
         sumo_version: &str,
-        policy: RuleBased,
+        policy: &PolicySpec,
         seed: u32,
     ) -> Self {
         Self {
@@ -55,7 +55,7 @@ impl Made {
             sumo_options: scenario.sumo.clone(),
             env: env.clone(),
             scenario: scenario.name.clone(),
-            policy: policy.name().to_owned(),
+            policy: policy.key(),
             seed,
         }
     }
@@ -156,6 +156,7 @@ fn plain(name: &str) -> String {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use cross_sim::controller::RuleBased;
 
     fn made(policy: RuleBased, seed: u32) -> Made {
         Made {

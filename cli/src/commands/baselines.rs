@@ -9,6 +9,7 @@ use crate::evaluate::default_workers;
 use crate::failure::{Failure, OrBadInput, Outcome};
 use crate::output;
 use crate::output_file::OutputFile;
+use crate::policy::PolicySpec;
 use crate::sumo::SumoOption;
 use crate::train::progress::say;
 use clap::Args;
@@ -32,15 +33,32 @@ Examples:
 Without --scenario those of the eight that were not imported are named and left out; what --scenario names must be there.
 Ctrl-C: the episodes under way are lost, the finished ones kept, exit code 1.")]
 pub(crate) struct Baselines {
-    /// Scenario, by name or directory; repeat it for several [default: the eight of the paper]
-    #[arg(long = "scenario", value_name = "NAME")]
-    scenarios: Vec<String>,
     /// Rule; repeat it for several [default: all but random]
     #[arg(long = "policy", value_name = "RULE")]
     policies: Vec<RuleBased>,
     /// SUMO seeds 1 to N [default: 3, on grid5x5 10; of unpublished rules on large scenarios 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     seeds: Option<u32>,
+    #[command(flatten)]
+    table: Table,
+}
+
+impl Baselines {
+    pub(crate) fn run(&self) -> Outcome<ExitCode> {
+        let policies: Vec<_> = self.policies.iter().copied().map(PolicySpec::Rule).collect();
+        let mut words = vec!["cross baselines".to_owned()];
+        words.extend(self.policies.iter().map(|policy| format!("--policy {policy}")));
+        words.extend(self.seeds.map(|seeds| format!("--seeds {seeds}")));
+        self.table.make(words, &policies, self.seeds, page::render)
+    }
+}
+
+/// What every table of policies is made with.
+#[derive(Debug, Args)]
+pub(crate) struct Table {
+    /// Scenario, by name or directory; repeat it for several [default: the eight of the paper]
+    #[arg(long = "scenario", value_name = "NAME")]
+    scenarios: Vec<String>,
     /// Folder of the finished episodes
     #[arg(long, value_name = "DIR", default_value = "runs/baselines")]
     out: PathBuf,
@@ -57,13 +75,20 @@ pub(crate) struct Baselines {
     json: bool,
 }
 
-impl Baselines {
-    pub(crate) fn run(&self) -> Outcome<ExitCode> {
+impl Table {
+    /// Simulates what is missing and shows all of it. `words` are the command so far, for whoever makes the table again.
+    pub(crate) fn make(
+        &self,
+        mut words: Vec<String>,
+        policies: &[PolicySpec],
+        seeds: Option<u32>,
+        render: fn(&Report) -> String,
+    ) -> Outcome<ExitCode> {
         // Before an hour of work.
         let markdown = self.markdown.as_deref().map(OutputFile::prepare).transpose()?;
         let home = self.sumo.locate()?;
         let version = home.version().or_bad_input()?;
-        let plan = Plan::new(&self.scenarios, &self.policies, self.seeds, EnvConfig::default(), version)?;
+        let plan = Plan::new(&self.scenarios, policies, seeds, EnvConfig::default(), version)?;
         for missing in &plan.missing {
             say(&format!("without {}: {}", missing.scenario, missing.reason));
         }
@@ -76,8 +101,9 @@ impl Baselines {
                 if left == 1 { "it" } else { "them" },
             )));
         }
-        let report = Report::read(&plan, &store, self.command())?;
-        let page = page::render(&report);
+        words.splice(1..1, self.scenarios.iter().map(|scenario| format!("--scenario {}", quoted(scenario))));
+        let report = Report::read(&plan, &store, words.join(" "))?;
+        let page = render(&report);
         if let Some(file) = &markdown {
             file.write(page.as_bytes())?;
         }
@@ -92,19 +118,10 @@ impl Baselines {
         }
         Ok(ExitCode::SUCCESS)
     }
-
-    /// The command that makes the same page again.
-    fn command(&self) -> String {
-        let mut words = vec!["cross baselines".to_owned()];
-        words.extend(self.scenarios.iter().map(|scenario| format!("--scenario {}", quoted(scenario))));
-        words.extend(self.policies.iter().map(|policy| format!("--policy {policy}")));
-        words.extend(self.seeds.map(|seeds| format!("--seeds {seeds}")));
-        words.join(" ")
-    }
 }
 
 /// A word as a shell takes it: in quotes where it has to be.
-fn quoted(word: &str) -> String {
+pub(super) fn quoted(word: &str) -> String {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_./=:@%+,".contains(letter);
     if !word.is_empty() && word.chars().all(plain) {
         return word.to_owned();

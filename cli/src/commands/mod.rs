@@ -6,5 +6,6 @@ pub(crate) mod checkpoint;
 pub(crate) mod doctor;
 pub(crate) mod eval;
 pub(crate) mod report;
+pub(crate) mod results;
 pub(crate) mod scenario;
 pub(crate) mod train;

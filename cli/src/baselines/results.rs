@@ -1,0 +1,239 @@
+//! A learned policy beside the rules and the paper's methods as a page of Markdown: `docs/results.md`.
+
+use super::markdown::{code, heading, line, row};
+use super::page::{figure, header, marked, others, protocol, published};
+use super::report::{PolicyReport, Report, ScenarioReport};
+use crate::paper;
+use cross_sim::controller::RuleBased;
+use cross_sim::metrics::{Better, Metric};
+
+const INTRODUCTION: &str = include_str!("../../data/results-introduction.md");
+/// The metrics by which the page says at once who is ahead.
+const JUDGED: [Metric; 2] = [Metric::TripDelay, Metric::QueueLength];
+
+/// The whole page.
+pub(crate) fn render(report: &Report) -> String {
+    let mut page = format!("{}\n", INTRODUCTION.trim_end());
+    for metric in JUDGED {
+        summary(&mut page, report, metric);
+    }
+    verdicts(&mut page, report);
+    protocol(&mut page, report);
+    for scenario in &report.scenarios {
+        table(&mut page, scenario);
+    }
+    page
+}
+
+/// One metric, all scenarios.
+fn summary(page: &mut String, report: &Report, metric: Metric) {
+    line(page, &format!("\n## {}\n", heading(&format!("{}, {}", metric.name(), metric.unit()))));
+    let titles = [
+        "scenario",
+        "policy",
+        "its training",
+        "here",
+        "Fixed-Time",
+        "strongest Max-Pressure",
+        "beside it",
+        "the paper's CROSS",
+        "beside it",
+    ];
+    row(page, &titles.map(str::to_owned));
+    row(page, &["---"; 9].map(str::to_owned));
+    for scenario in &report.scenarios {
+        for (policy, training) in learned(scenario) {
+            let Some(ours) = mean(policy, metric) else { continue };
+            let shown = |value: Option<f64>| {
+                value.map_or_else(String::new, |value| format!("{value:.*}", metric.digits()))
+            };
+            let beside = |other: Option<f64>| {
+                other.map_or_else(String::new, |other| format!("{:+.0} %", 100.0 * (ours - other) / other))
+            };
+            let strongest = strongest(scenario).and_then(|policy| mean(policy, metric));
+            let published = paper::lookup(&scenario.scenario, "cross", metric.key()).map(|found| found.mean);
+            row(
+                page,
+                &[
+                    code(&scenario.scenario),
+                    code(&policy.policy),
+                    training.to_owned(),
+                    format!("**{}**", shown(Some(ours))),
+                    shown(fixed_time(scenario).and_then(|policy| mean(policy, metric))),
+                    shown(strongest),
+                    beside(strongest),
+                    // Two digits are what the paper prints.
+                    published.map_or_else(String::new, |value| format!("{value:.2}")),
+                    beside(published),
+                ],
+            );
+        }
+    }
+}
+
+/// In how many figures a policy is ahead of whom.
+fn verdicts(page: &mut String, report: &Report) {
+    line(page, "\n## Who is ahead\n");
+    line(page, "Means over the seeds, in all metrics that both have; a tie is nobody's.\n");
+    row(page, &["policy", "of whom", "ahead in", "behind in"].map(str::to_owned));
+    row(page, &["---"; 4].map(str::to_owned));
+    let mut names: Vec<&str> = Vec::new();
+    for (policy, _) in report.scenarios.iter().flat_map(learned) {
+        if !names.contains(&policy.policy.as_str()) {
+            names.push(&policy.policy);
+        }
+    }
+    for name in names {
+        for (whom, other) in OTHERS {
+            let mut ahead = 0;
+            let mut behind = Vec::new();
+            let mut all = 0;
+            for scenario in &report.scenarios {
+                for (policy, _) in learned(scenario).filter(|(policy, _)| policy.policy == name) {
+                    for metric in Metric::PAPER {
+                        let (Some(ours), Some(theirs)) = (mean(policy, metric), other(scenario, metric))
+                        else {
+                            continue;
+                        };
+                        all += 1;
+                        match better(metric, ours, theirs) {
+                            true => ahead += 1,
+                            false => behind.push(format!("{} ({})", code(&scenario.scenario), metric.name())),
+                        }
+                    }
+                }
+            }
+            if all > 0 {
+                let behind = if behind.is_empty() { "none".to_owned() } else { behind.join(", ") };
+                row(page, &[code(name), whom.to_owned(), format!("{ahead} of {all}"), behind]);
+            }
+        }
+    }
+}
+
+/// Somebody's figure on a scenario.
+type Other = fn(&ScenarioReport, Metric) -> Option<f64>;
+
+/// Those that a policy is held against.
+const OTHERS: [(&str, Other); 3] = [
+    ("Fixed-Time", |scenario, metric| mean(fixed_time(scenario)?, metric)),
+    ("the strongest Max-Pressure", |scenario, metric| mean(strongest(scenario)?, metric)),
+    ("the paper's CROSS", |scenario, metric| {
+        paper::lookup(&scenario.scenario, "cross", metric.key()).map(|found| found.mean)
+    }),
+];
+
+fn table(page: &mut String, scenario: &ScenarioReport) {
+    line(page, &format!("\n## {}\n", heading(&scenario.scenario)));
+    row(page, &header("policy", &Metric::PAPER));
+    row(page, &vec!["---".to_owned(); 1 + Metric::PAPER.len()]);
+    for policy in &scenario.policies {
+        let cells = Metric::PAPER
+            .map(|metric| policy.metrics.get(metric.key()).map_or_else(String::new, |f| figure(f, metric)));
+        let name = match &policy.learned {
+            Some(learned) => format!("**{}**, weights {}", code(&policy.policy), code(&learned.weights)),
+            None => marked(policy),
+        };
+        row(page, &[vec![name], cells.to_vec()].concat());
+    }
+    for (method, name) in [("cross", "CROSS"), ("gesa", "GESA"), ("unicorn", "Unicorn")] {
+        published(page, scenario, &format!("paper, {name}"), method);
+    }
+    others(page, scenario);
+}
+
+/// The learned policies, and what each had to do with the scenario before.
+fn learned(scenario: &ScenarioReport) -> impl Iterator<Item = (&PolicyReport, &'static str)> {
+    scenario.policies.iter().filter_map(|policy| {
+        let training = if policy.learned.as_ref()?.trained_here { "trained on it" } else { "zero-shot" };
+        Some((policy, training))
+    })
+}
+
+fn fixed_time(scenario: &ScenarioReport) -> Option<&PolicyReport> {
+    scenario.policies.iter().find(|policy| policy.policy == RuleBased::FixedTime.name())
+}
+
+fn strongest(scenario: &ScenarioReport) -> Option<&PolicyReport> {
+    scenario.policies.iter().find(|policy| policy.strongest_max_pressure)
+}
+
+fn mean(policy: &PolicyReport, metric: Metric) -> Option<f64> {
+    policy.metrics.get(metric.key()).map(|figure| figure.mean)
+}
+
+fn better(metric: Metric, ours: f64, theirs: f64) -> bool {
+    if metric.better() == Better::Lower { ours < theirs } else { ours > theirs }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::report::LearnedReport;
+    use super::super::report::tests::report;
+    use super::*;
+
+    /// Fixed-Time has 3 in every metric, the variants of Max-Pressure 6 and 9; `greedy`, 12, plays the learned policy.
+    fn page(ours: f64) -> String {
+        let mut report = report(
+            &["grid4x4", "mine"],
+            &[
+                RuleBased::FixedTime,
+                RuleBased::MaxPressureStopped,
+                RuleBased::MaxPressureAll,
+                RuleBased::Greedy,
+            ],
+        );
+        for scenario in &mut report.scenarios {
+            let trained_here = scenario.scenario == "grid4x4";
+            let policy = &mut scenario.policies[3];
+            policy.policy = "pretrained/one".to_owned();
+            policy.learned = Some(LearnedReport { weights: "0123456789ab".to_owned(), trained_here });
+            policy.metrics.values_mut().for_each(|figure| figure.mean = ours);
+        }
+        render(&report)
+    }
+
+    fn lines<'p>(page: &'p str, of: &str) -> Vec<&'p str> {
+        page.lines().filter(|line| line.contains(of)).collect()
+    }
+
+    #[test]
+    fn a_policy_stands_beside_the_rules_and_the_paper() {
+        let page = page(2.0);
+        let delay = lines(
+            &page,
+            "| `grid4x4` | `pretrained/one` | trained on it | **2.0** | 3.0 | 6.0 | -67 % | 20.88 | -90 % |",
+        );
+        assert_eq!(delay.len(), 1, "{page}");
+        // A scenario of one's own is in no paper, and one that was not trained on is told.
+        let own =
+            lines(&page, "| `mine` | `pretrained/one` | zero-shot | **2.0** | 3.0 | 6.0 | -67 % |  |  |");
+        assert_eq!(own.len(), 1, "{page}");
+        assert_eq!(lines(&page, "| **`pretrained/one`**, weights `0123456789ab` | 2.000").len(), 2, "{page}");
+    }
+
+    #[test]
+    fn who_is_behind_is_told_where() {
+        // Lower is better in four of the six metrics.
+        let page = page(2.0);
+        let of = |whom: &str| lines(&page, &format!("| `pretrained/one` | {whom} |"))[0].to_owned();
+        let fixed = of("Fixed-Time");
+        assert!(fixed.contains("| 8 of 12 |") && fixed.contains("`grid4x4` (speed)"), "{fixed}");
+        assert!(of("the paper's CROSS").contains("of 5 |"), "{page}");
+        // Equal is not ahead.
+        let equal = super::tests::page(3.0);
+        assert!(lines(&equal, "| `pretrained/one` | Fixed-Time | 0 of 12 |").len() == 1, "{equal}");
+    }
+
+    #[test]
+    fn every_table_is_whole() {
+        let mut columns = None;
+        for text in page(2.0).lines() {
+            let cells = text.starts_with('|').then(|| text.matches(" | ").count());
+            if let (Some(cells), Some(columns)) = (cells, columns) {
+                assert_eq!(cells, columns, "{text}");
+            }
+            columns = cells;
+        }
+    }
+}

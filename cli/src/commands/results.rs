@@ -1,0 +1,48 @@
+//! `cross results`: learned policies beside the rules and the paper's methods.
+
+use super::baselines::{Table, quoted};
+use crate::baselines::results;
+use crate::failure::Outcome;
+use crate::policy::PolicySpec;
+use clap::Args;
+use cross_sim::controller::RuleBased;
+use std::process::ExitCode;
+
+/// Evaluates learned policies on the paper's scenarios, beside the rules and the figures that the paper prints
+///
+/// Fixed-Time and every variant of Max-Pressure run along. Finished episodes are kept in a folder, the same as those of `cross
+/// baselines`, so that the command may be stopped and called again; those of a policy count for its very weights. Writes a page
+/// of Markdown, the protocol included.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  cross results --markdown docs/results.md                     the published policies on all eight
+  cross results --policy runs/20260131-235959 --scenario grid4x4 --scenario cologne8
+  cross results --policy pretrained/default --seeds 1 --json
+
+Without --scenario those of the eight that were not imported are named and left out; what --scenario names must be there.
+Ctrl-C: the episodes under way are lost, the finished ones kept, exit code 1.")]
+pub(crate) struct Results {
+    /// Weights: a checkpoint, a run directory or a policy file; repeat it for several
+    #[arg(long = "policy", value_name = "POLICY", default_value = "pretrained/default")]
+    policies: Vec<String>,
+    /// SUMO seeds 1 to N
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    seeds: u32,
+    #[command(flatten)]
+    table: Table,
+}
+
+impl Results {
+    pub(crate) fn run(&self) -> Outcome<ExitCode> {
+        let rules = [RuleBased::FixedTime].into_iter().chain(RuleBased::MAX_PRESSURE_VARIANTS);
+        let mut policies: Vec<_> = rules.map(PolicySpec::Rule).collect();
+        for policy in &self.policies {
+            policies.push(PolicySpec::parse(policy)?);
+        }
+        let mut words = vec!["cross results".to_owned()];
+        words.extend(self.policies.iter().map(|policy| format!("--policy {}", quoted(policy))));
+        words.push(format!("--seeds {}", self.seeds));
+        self.table.make(words, &policies, Some(self.seeds), results::render)
+    }
+}
