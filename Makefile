@@ -20,7 +20,7 @@ help: ## Show this list
 	@echo
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1|\2/p' Makefile | awk -F'|' '{ printf "%-18s %s\n", $$1, $$2 }'
 	@echo
-	@echo '  ARGS="..."         options passed on by train, baselines, faults and soak, as in: make train ARGS="--updates 500 --scenario grid4x4"'
+	@echo '  ARGS="..."         options passed on by train, baselines, results, faults and soak, as in: make train ARGS="--updates 500 --scenario grid4x4"'
 	@echo '  CROSS_TORCH=cuda   set up libtorch with its CUDA libraries instead of the CPU ones'
 	@echo '  CROSS_CACHE=DIR    keep downloaded wheels in DIR, for other checkouts'
 

@@ -125,11 +125,11 @@ impl std::fmt::Debug for Telemetry {
 /// How long the parts of one step took.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct StepTimes {
-    /// SUMO simulating.
+    /// Waiting for SUMO to simulate; while the actor does something else, it does not wait.
     pub sumo: Duration,
     /// Talking to it.
     pub traci: Duration,
-    /// The policy's forward pass.
+    /// The policy: its forward pass, and the critic's state on the way past SUMO.
     pub policy: Duration,
 }
 

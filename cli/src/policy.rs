@@ -5,11 +5,12 @@ use crate::learned::Learned;
 use crate::saved::policy_by_url;
 use anyhow::Context;
 use cross_config::EnvConfig;
-use cross_learner::checkpoint::reader;
+use cross_learner::checkpoint::{Metadata, reader};
 use cross_model::Policy;
 use cross_sim::controller::{Controller, RuleBased};
 use cross_sim::scenario::Scenario;
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -33,19 +34,17 @@ pub(crate) struct Weights {
     bytes: Arc<[u8]>,
     /// Environment that it was trained for.
     pub(crate) env: EnvConfig,
-    /// Scenarios that it was trained on, as far as a checkpoint tells: a file alone does not.
-    pub(crate) trained_on: Vec<String>,
+    /// Layout hashes of the scenarios that it was trained on, by name, if a checkpoint tells: a file alone does not.
+    pub(crate) trained_on: Option<BTreeMap<String, String>>,
 }
 
 impl Weights {
     /// Reads and checks what a path stands for: a run directory (its newest checkpoint), a checkpoint, or a policy file.
     pub(crate) fn read(name: &str, path: &Path) -> Outcome<Self> {
-        let (metadata, bytes) = reader::load_policy(path).or_bad_input()?;
-        let trained_on = metadata.map_or_else(Vec::new, |metadata| metadata.layouts.into_keys().collect());
-        Ok(Self { trained_on, ..Self::of(name, bytes)? })
+        Self::of(name, reader::load_policy(path).or_bad_input()?)
     }
 
-    fn of(name: &str, bytes: Vec<u8>) -> Outcome<Self> {
+    fn of(name: &str, (metadata, bytes): (Option<Metadata>, Vec<u8>)) -> Outcome<Self> {
         let policy = Policy::from_snapshot(&bytes)
             .map_err(anyhow::Error::from)
             .with_context(|| format!("cannot use the policy {name}"))
@@ -56,7 +55,7 @@ impl Weights {
             hash,
             env: policy.env().clone(),
             bytes: bytes.into(),
-            trained_on: Vec::new(),
+            trained_on: metadata.map(|metadata| metadata.layouts),
         })
     }
 }
@@ -68,8 +67,8 @@ impl PolicySpec {
         if let Ok(rule) = text.parse::<RuleBased>() {
             return Ok(Self::Rule(rule));
         }
-        if let Some(bytes) = policy_by_url(text)? {
-            return Weights::of(text.trim_end_matches('/'), bytes).map(Self::Learned);
+        if let Some(found) = policy_by_url(text)? {
+            return Weights::of(text.trim_end_matches('/'), found).map(Self::Learned);
         }
         let path = Path::new(text);
         if !path.exists() {
@@ -102,6 +101,16 @@ impl PolicySpec {
         match self {
             Self::Rule(rule) => rule.name().to_owned(),
             Self::Learned(weights) => format!("weights-{}", weights.hash),
+        }
+    }
+
+    /// Whether it was trained on a network with this layout hash; `None` for a rule, and for weights that do not tell.
+    pub(crate) fn trained_on(&self, layout_hash: &str) -> Option<bool> {
+        match self {
+            Self::Rule(_) => None,
+            Self::Learned(weights) => {
+                weights.trained_on.as_ref().map(|layouts| layouts.values().any(|hash| hash == layout_hash))
+            }
         }
     }
 

@@ -130,12 +130,9 @@ fn may_be_repeated(place: &str) -> Outcome<()> {
         .map_err(|reason| Failure::input(format!("cannot use the URL for checkpoints: it {reason}")))
 }
 
-/// The policy that a URL stands for; `None` for what is no URL.
-pub(crate) fn policy_by_url(text: &str) -> Outcome<Option<Vec<u8>>> {
-    match named(text) {
-        None => Ok(None),
-        Some(url) => Ok(Some(wait(remote::load_policy(&url))?.1)),
-    }
+/// The policy that a URL stands for, with its checkpoint's metadata if it is one's; `None` for what is no URL.
+pub(crate) fn policy_by_url(text: &str) -> Outcome<Option<(Option<Metadata>, Vec<u8>)>> {
+    named(text).map(|url| wait(remote::load_policy(&url))).transpose()
 }
 
 /// Waits for a store. One that cannot be reached is nobody's bad input.

@@ -84,10 +84,6 @@ impl SimError {
         }
     }
 
-    pub(crate) fn is_from_sumo(&self) -> bool {
-        matches!(self, Self::Traci(_))
-    }
-
     /// The kind of failure as one of a fixed, small set of words, fit for a metric's label.
     #[must_use]
     pub fn reason(&self) -> &'static str {

@@ -3,7 +3,7 @@
 
 use cross_config::{Detection, EnvConfig};
 use cross_sim::SimError;
-use cross_sim::env::{Env, EnvOptions, SecondView};
+use cross_sim::env::{Env, EnvOptions, SecondView, Signals, SumoProgram};
 use cross_sim::scenario::Scenario;
 use cross_sim::signal::ActionError;
 use cross_sim::trajectory::Observation;
@@ -111,6 +111,75 @@ fn watching_may_begin_and_end_within_an_episode() {
         assert_eq!(env.observation(), &apart.observations[step + 1]);
     }
     assert_eq!(seconds, 190);
+}
+
+#[test]
+fn a_step_may_be_begun_and_completed_later() {
+    let mut env = env("cologne1");
+    let apart = episode(&mut env, 5, None);
+    env.reset(5).unwrap();
+    for (step, rewards) in apart.rewards.iter().enumerate() {
+        let actions = actions(&env, step);
+        let under_way = env.begin_step(&actions).unwrap();
+        assert_eq!(under_way.before(), &apart.observations[step]);
+        if step % 10 == 0 {
+            // Whether SUMO is still at it or has long been waiting makes no difference.
+            std::thread::sleep(Duration::from_millis(30));
+        }
+        assert_eq!(under_way.complete().unwrap().rewards, rewards);
+        assert_eq!((env.observation(), env.time()), (&apart.observations[step + 1], apart.times[step]));
+    }
+}
+
+#[test]
+fn a_step_that_is_not_completed_loses_the_episode_and_no_other() {
+    let mut env = env("cologne1");
+    let apart = episode(&mut env, 5, None);
+    env.reset(6).unwrap();
+    // An action that does not exist begins nothing.
+    assert!(matches!(env.begin_step(&[99]), Err(SimError::Action(_))));
+    let pid = env.sumo_pid().unwrap();
+    drop(env.begin_step(&actions(&env, 0)).unwrap());
+    assert!(matches!(env.step(&[0]), Err(SimError::NotRunning)));
+    assert!(!std::path::Path::new(&format!("/proc/{pid}")).exists(), "SUMO {pid} is still there");
+    assert_eq!(episode(&mut env, 5, None), apart);
+}
+
+#[test]
+fn a_program_of_sumo_s_goes_on_between_begin_and_completion() {
+    let mut env = env_with("cologne1", |options| options.signals = Signals::Program(SumoProgram::Actuated));
+    let mut play = |begin: bool| {
+        env.reset(5).unwrap();
+        let mut seen = Vec::new();
+        for _ in 0..20 {
+            if begin {
+                env.begin_step(&[]).unwrap().complete().unwrap();
+            } else {
+                env.step_observed(&[], &mut |_: &SecondView<'_>| {}).unwrap();
+            }
+            seen.push((env.observation().clone(), env.time()));
+        }
+        seen
+    };
+    assert_eq!(play(true), play(false));
+}
+
+#[test]
+fn sumo_killed_under_way_is_told_and_another_begins() {
+    let mut env = env("cologne1");
+    let apart = episode(&mut env, 5, None);
+    env.reset(6).unwrap();
+    let pid = env.sumo_pid().unwrap().to_string();
+    let actions = actions(&env, 0);
+    let under_way = env.begin_step(&actions).unwrap();
+    assert!(std::process::Command::new("kill").args(["-KILL", &pid]).status().unwrap().success());
+    // It may have answered before.
+    if let Ok(step) = under_way.complete() {
+        assert!(!step.done);
+        env.step(&actions).unwrap_err();
+    }
+    assert!(matches!(env.step(&actions), Err(SimError::NotRunning)));
+    assert_eq!(episode(&mut env, 5, None), apart);
 }
 
 #[test]

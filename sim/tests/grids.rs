@@ -80,7 +80,12 @@ fn grid5x5_heavy_has_the_published_volume() {
     let rounded = [arrivals.volume(), arrivals.mean(), arrivals.max(), arrivals.min()]
         .map(|value| (value * 100.0).round());
     assert_eq!(rounded, [729_600.0, 12_160.0, 75_200.0, 3_200.0]);
-    assert_eq!(scenario.net_hash, Scenario::load("grid5x5").unwrap().net_hash, "only the demand differs");
+    for name in ["grid5x5", "grid5x5-mid", "grid5x5-light"] {
+        let other = Scenario::load(name).unwrap();
+        assert_eq!(scenario.net_hash, other.net_hash, "{name}: only the demand differs");
+        assert_eq!(scenario.reference, other.reference, "{name}");
+        assert!(other.vehicles().unwrap() < scenario.vehicles().unwrap(), "{name}");
+    }
 }
 
 #[test]

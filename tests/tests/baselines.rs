@@ -1,4 +1,4 @@
-//! `cross baselines`: the table of rules, on a small grid that takes a moment.
+//! `cross baselines` and `cross results`: tables of policies, on a small grid that takes a moment.
 #![allow(
     missing_docs,
     clippy::unwrap_used,
@@ -11,6 +11,7 @@ use cross_tests::runs::{Finished, Run};
 use cross_tests::wait;
 use rustix::process::Signal;
 use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
 /// A small grid with this much traffic, and a folder for results.
@@ -148,5 +149,101 @@ fn what_cannot_work_is_refused() {
     for arguments in [&["--policy", "max-presure"][..], &["--seeds", "0"], &["--workers", "0"]] {
         let finished = run.call(&[&["baselines"], arguments].concat());
         assert_eq!((finished.code, finished.stdout.as_str()), (Some(2), ""), "{}", finished.stderr);
+    }
+}
+
+/// The policy that the project publishes.
+fn published() -> String {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../pretrained/default").display().to_string()
+}
+
+#[test]
+fn the_published_policy_stands_beside_the_rules() {
+    let small = Small::new(300);
+    let call = |more: &[&str]| {
+        let mut command =
+            small.run.cross(&["results", "--scenario", &small.town(), "--policy", &published()]);
+        command.args(["--seeds", "1", "--out"]).arg(small.results()).args(more);
+        small.run.spawn(command).wait()
+    };
+    let report = call(&["--json"]).json();
+    let policies = report["scenarios"][0]["policies"].as_array().unwrap();
+    assert_eq!(policies.len(), 5, "Fixed-Time, three variants of Max-Pressure, and it");
+    let learned = &policies[4];
+    assert_eq!(
+        (&learned["policy"], &learned["learned"]["trained_here"]),
+        (&json!(published()), &json!(false))
+    );
+    // A file alone does not tell what it was trained on.
+    let mut command = small.run.cross(&["results", "--seeds", "1", "--json", "--scenario", &small.town()]);
+    command
+        .arg("--policy")
+        .arg(format!("{}/model.safetensors", published()))
+        .arg("--out")
+        .arg(small.results());
+    let file = small.run.spawn(command).wait().json();
+    assert_eq!(file["scenarios"][0]["policies"][4]["learned"]["trained_here"], Value::Null);
+    small
+        .run
+        .call(&["results", "--policy", "greedy", "--scenario", &small.town()])
+        .assert_refused(&["greedy", "baselines"]);
+    assert!(learned["metrics"]["trip_delay"]["mean"].as_f64().unwrap() > 0.0, "{learned}");
+    // Streets that it has never seen, and yet it is no worse than a clock.
+    let delay = |policy: &Value| policy["metrics"]["trip_delay"]["mean"].as_f64().unwrap();
+    assert!(delay(learned) < delay(&policies[0]), "{policies:?}");
+
+    let page = call(&[]);
+    assert!(page.stderr.contains("5 of 5 episodes are in"), "{}", page.stderr);
+    for part in ["# Results", "zero-shot", "## town", "## Who is ahead", "--seeds 1`"] {
+        assert!(page.stdout.contains(part), "{part} is not in {}", page.stdout);
+    }
+    assert_none_left(&small.run.marker());
+}
+
+#[test]
+fn other_weights_are_another_policy() {
+    let small = Small::new(300);
+    let weights = small.folder.path().join("weights");
+    std::fs::create_dir(&weights).unwrap();
+    let call = |bytes: &[u8]| {
+        std::fs::write(weights.join("policy.safetensors"), bytes).unwrap();
+        let path = weights.join("policy.safetensors").display().to_string();
+        let mut command = small.run.cross(&["results", "--scenario", &small.town(), "--policy", &path]);
+        command.args(["--seeds", "1", "--json", "--out"]).arg(small.results());
+        small.run.spawn(command).wait()
+    };
+    let mut bytes = std::fs::read(Path::new(&published()).join("model.safetensors")).unwrap();
+    assert!(!call(&bytes).stderr.contains("episodes are in"));
+    // The last bytes are a weight's.
+    let last = bytes.len() - 1;
+    bytes[last] ^= 1;
+    assert!(
+        call(&bytes).stderr.contains("4 of 5 episodes are in"),
+        "the rules' count, the policy's does not"
+    );
+}
+
+#[test]
+fn the_published_policy_is_what_its_configuration_gives() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    for entry in std::fs::read_dir(root.join("pretrained")).unwrap() {
+        let folder = entry.unwrap().path();
+        if !folder.is_dir() {
+            continue;
+        }
+        let name = folder.file_name().unwrap().to_str().unwrap().to_owned();
+        let metadata: Value =
+            serde_json::from_slice(&std::fs::read(folder.join("metadata.json")).unwrap()).unwrap();
+        let own = cross_config::Config::from_json(&metadata["config"].to_string(), &name).unwrap();
+        let file = root.join("configs").join(&name).with_extension("toml");
+        assert_eq!(own, cross_config::Config::from_file(&file).unwrap(), "{name}");
+        assert_eq!(metadata["updates"], own.updates, "{name}: trained to its end");
+        // The optimiser's state is of no use here and larger than the weights.
+        let files = metadata["files"].as_object().unwrap();
+        assert_eq!(files.keys().collect::<Vec<_>>(), ["model.safetensors"], "{name}");
+        let bytes = std::fs::read(folder.join("model.safetensors")).unwrap();
+        let hash = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+        assert_eq!(files["model.safetensors"]["sha256"], hash, "{name}");
+        assert!(bytes.len() < 5 << 20, "{name}: a few megabytes at most");
     }
 }

@@ -160,7 +160,7 @@ pub(super) fn published(page: &mut String, scenario: &ScenarioReport, label: &st
 pub(super) fn others(page: &mut String, scenario: &ScenarioReport) {
     let further: Vec<_> = Metric::ALL.into_iter().filter(|metric| !Metric::PAPER.contains(metric)).collect();
     let fates = ["finished", "unfinished", "never_inserted", "teleports"];
-    let mut titles = header("rule", &further);
+    let mut titles = header("policy", &further);
     titles.extend(fates.map(|fate| fate.replace('_', " ")));
     titles.push("gridlock in seeds".to_owned());
     line(page, "");

@@ -44,6 +44,8 @@ pub(crate) struct Subject {
     seeds: Option<u32>,
     /// Vehicles that its demand defines.
     pub(crate) vehicles: u64,
+    /// Hash of its intersections.
+    pub(crate) layout_hash: String,
 }
 
 /// A scenario that cannot be used, with the remedy.
@@ -80,6 +82,9 @@ impl Plan {
         env: EnvConfig,
         sumo_version: String,
     ) -> Outcome<Self> {
+        for policy in policies {
+            same_clock(policy, &env)?;
+        }
         let mut plan = Self { subjects: Vec::new(), missing: Vec::new(), env, sumo_version };
         let named = !scenarios.is_empty();
         let usual = SCENARIOS.map(str::to_owned);
@@ -97,13 +102,17 @@ impl Plan {
                     scenario.name
                 )));
             }
-            load_layout(&scenario, &plan.env).or_bad_input()?;
+            let layout = load_layout(&scenario, &plan.env).or_bad_input()?;
+            for env in policies.iter().filter_map(PolicySpec::env) {
+                load_layout(&scenario, env).or_bad_input()?;
+            }
             let usual = default_policies();
             let policies = if policies.is_empty() { &usual } else { policies };
             plan.subjects.push(Subject {
                 policies: resolved(policies, &scenario),
                 seeds,
                 vehicles: scenario.vehicles().or_bad_input()?,
+                layout_hash: layout.hash(),
                 scenario,
             });
         }
@@ -162,6 +171,25 @@ impl Job<'_> {
         // A grid that jams costs more than its vehicles tell.
         let jams = if self.subject.scenario.name == "grid5x5" { 2.0 } else { 1.0 };
         waiting * jams * (self.subject.vehicles.max(1) as f64)
+    }
+}
+
+/// Refuses a policy that decides at other times than the others in the table, or for longer.
+fn same_clock(policy: &PolicySpec, env: &EnvConfig) -> Outcome<()> {
+    let clock = |env: &EnvConfig| (env.decision_seconds, env.yellow_seconds, env.episode_seconds);
+    match policy.env() {
+        Some(own) if clock(own) != clock(env) => Err(Failure::input(format!(
+            "{} was trained for a decision every {} s with {} s of yellow and episodes of {} s, and the table is of {}, {} and {} s; \
+             train with these under [env], or measure it by itself with cross eval",
+            policy.name(),
+            own.decision_seconds,
+            own.yellow_seconds,
+            own.episode_seconds,
+            env.decision_seconds,
+            env.yellow_seconds,
+            env.episode_seconds,
+        ))),
+        _ => Ok(()),
     }
 }
 

@@ -73,8 +73,8 @@ pub(crate) struct PolicyReport {
 pub(crate) struct LearnedReport {
     /// First digits of the hash of the weights.
     pub(crate) weights: String,
-    /// Whether it was trained on this scenario; false as well if the weights do not tell.
-    pub(crate) trained_here: bool,
+    /// Whether it was trained on streets that are these, whatever the traffic; `None` if the weights do not tell.
+    pub(crate) trained_here: Option<bool>,
 }
 
 /// A metric over the seeds.
@@ -122,7 +122,11 @@ impl ScenarioReport {
             });
             let episodes: Vec<_> = episodes.collect::<Outcome<_>>()?;
             let published = policy.rule() == Some(published_variant(&subject.scenario));
-            policies.push(PolicyReport::new(&subject.scenario.name, policy, published, &episodes));
+            let mut report = PolicyReport::new(&subject.scenario.name, policy, published, &episodes);
+            if let Some(learned) = &mut report.learned {
+                learned.trained_here = policy.trained_on(&subject.layout_hash);
+            }
+            policies.push(report);
         }
         mark_strongest(&mut policies, subject.vehicles);
         let scenario = &subject.scenario;
@@ -180,10 +184,9 @@ impl PolicyReport {
             policy: policy.name().to_owned(),
             learned: match policy {
                 PolicySpec::Rule(_) => None,
-                PolicySpec::Learned(weights) => Some(LearnedReport {
-                    weights: weights.hash.clone(),
-                    trained_here: weights.trained_on.iter().any(|name| name == scenario),
-                }),
+                PolicySpec::Learned(weights) => {
+                    Some(LearnedReport { weights: weights.hash.clone(), trained_here: None })
+                }
             },
             seeds: episodes.iter().map(|episode| episode.seed).collect(),
             paper_method,

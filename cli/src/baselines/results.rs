@@ -36,20 +36,19 @@ fn summary(page: &mut String, report: &Report, metric: Metric) {
         "Fixed-Time",
         "strongest Max-Pressure",
         "beside it",
+        "never let in",
         "the paper's CROSS",
         "beside it",
     ];
     row(page, &titles.map(str::to_owned));
-    row(page, &["---"; 9].map(str::to_owned));
+    row(page, &["---"; 10].map(str::to_owned));
     for scenario in &report.scenarios {
         for (policy, training) in learned(scenario) {
             let Some(ours) = mean(policy, metric) else { continue };
             let shown = |value: Option<f64>| {
                 value.map_or_else(String::new, |value| format!("{value:.*}", metric.digits()))
             };
-            let beside = |other: Option<f64>| {
-                other.map_or_else(String::new, |other| format!("{:+.0} %", 100.0 * (ours - other) / other))
-            };
+            let beside = |other: Option<f64>| other.map_or_else(String::new, |other| difference(ours, other));
             let strongest = strongest(scenario).and_then(|policy| mean(policy, metric));
             let published = paper::lookup(&scenario.scenario, "cross", metric.key()).map(|found| found.mean);
             row(
@@ -62,6 +61,7 @@ fn summary(page: &mut String, report: &Report, metric: Metric) {
                     shown(fixed_time(scenario).and_then(|policy| mean(policy, metric))),
                     shown(strongest),
                     beside(strongest),
+                    outside(scenario, policy),
                     // Two digits are what the paper prints.
                     published.map_or_else(String::new, |value| format!("{value:.2}")),
                     beside(published),
@@ -96,9 +96,10 @@ fn verdicts(page: &mut String, report: &Report) {
                             continue;
                         };
                         all += 1;
-                        match better(metric, ours, theirs) {
-                            true => ahead += 1,
-                            false => behind.push(format!("{} ({})", code(&scenario.scenario), metric.name())),
+                        if better(metric, ours, theirs) {
+                            ahead += 1;
+                        } else if better(metric, theirs, ours) {
+                            behind.push(format!("{} ({})", code(&scenario.scenario), metric.name()));
                         }
                     }
                 }
@@ -142,10 +143,25 @@ fn table(page: &mut String, scenario: &ScenarioReport) {
     others(page, scenario);
 }
 
+/// Vehicles that found no room to enter, here and under the strongest Max-Pressure: trip time and delay leave them out.
+fn outside(scenario: &ScenarioReport, policy: &PolicyReport) -> String {
+    let count = |policy: &PolicyReport| {
+        policy.vehicles.get("never_inserted").map_or_else(String::new, |count| format!("{count:.0}"))
+    };
+    match strongest(scenario) {
+        Some(other) => format!("{}; {}", count(policy), count(other)),
+        None => count(policy),
+    }
+}
+
 /// The learned policies, and what each had to do with the scenario before.
 fn learned(scenario: &ScenarioReport) -> impl Iterator<Item = (&PolicyReport, &'static str)> {
     scenario.policies.iter().filter_map(|policy| {
-        let training = if policy.learned.as_ref()?.trained_here { "trained on it" } else { "zero-shot" };
+        let training = match policy.learned.as_ref()?.trained_here {
+            Some(true) => "trained on it",
+            Some(false) => "zero-shot",
+            None => "not told",
+        };
         Some((policy, training))
     })
 }
@@ -160,6 +176,18 @@ fn strongest(scenario: &ScenarioReport) -> Option<&PolicyReport> {
 
 fn mean(policy: &PolicyReport, metric: Metric) -> Option<f64> {
     policy.metrics.get(metric.key()).map(|figure| figure.mean)
+}
+
+/// How far a figure is from another, in per cent of that.
+fn difference(ours: f64, other: f64) -> String {
+    let percent = (100.0 * (ours - other) / other).round();
+    match percent {
+        // Nothing is no measure.
+        odd if !odd.is_finite() => String::new(),
+        // What rounds to nothing has no direction.
+        0.0 => "0 %".to_owned(),
+        percent => format!("{percent:+.0} %"),
+    }
 }
 
 fn better(metric: Metric, ours: f64, theirs: f64) -> bool {
@@ -184,7 +212,7 @@ mod tests {
             ],
         );
         for scenario in &mut report.scenarios {
-            let trained_here = scenario.scenario == "grid4x4";
+            let trained_here = Some(scenario.scenario == "grid4x4");
             let policy = &mut scenario.policies[3];
             policy.policy = "pretrained/one".to_owned();
             policy.learned = Some(LearnedReport { weights: "0123456789ab".to_owned(), trained_here });
@@ -202,12 +230,14 @@ mod tests {
         let page = page(2.0);
         let delay = lines(
             &page,
-            "| `grid4x4` | `pretrained/one` | trained on it | **2.0** | 3.0 | 6.0 | -67 % | 20.88 | -90 % |",
+            "| `grid4x4` | `pretrained/one` | trained on it | **2.0** | 3.0 | 6.0 | -67 % | ;  | 20.88 | -90 % |",
         );
         assert_eq!(delay.len(), 1, "{page}");
         // A scenario of one's own is in no paper, and one that was not trained on is told.
-        let own =
-            lines(&page, "| `mine` | `pretrained/one` | zero-shot | **2.0** | 3.0 | 6.0 | -67 % |  |  |");
+        let own = lines(
+            &page,
+            "| `mine` | `pretrained/one` | zero-shot | **2.0** | 3.0 | 6.0 | -67 % | ;  |  |  |",
+        );
         assert_eq!(own.len(), 1, "{page}");
         assert_eq!(lines(&page, "| **`pretrained/one`**, weights `0123456789ab` | 2.000").len(), 2, "{page}");
     }
@@ -222,7 +252,13 @@ mod tests {
         assert!(of("the paper's CROSS").contains("of 5 |"), "{page}");
         // Equal is not ahead.
         let equal = super::tests::page(3.0);
-        assert!(lines(&equal, "| `pretrained/one` | Fixed-Time | 0 of 12 |").len() == 1, "{equal}");
+        assert_eq!(lines(&equal, "| `pretrained/one` | Fixed-Time | 0 of 12 | none |").len(), 1, "{equal}");
+    }
+
+    #[test]
+    fn differences_are_figures() {
+        let shown = [(3.0, 2.0), (1.0, 2.0), (20.0, 20.05), (1.0, 0.0), (0.0, 0.0)];
+        assert_eq!(shown.map(|(ours, other)| difference(ours, other)), ["+50 %", "-50 %", "0 %", "", ""]);
     }
 
     #[test]

@@ -21,7 +21,8 @@ use std::path::{Path, PathBuf};
 /// may have other figures; then nothing that is stored counts any more.
 const GENERATION: u32 = 1;
 
-/// Everything that an episode's result depends on.
+/// Everything that an episode's result depends on, but for the processor's vector instructions: with others a policy's sums
+/// round otherwise, which moves a figure within what seeds differ by. A folder is not meant to be carried between machines.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Made {
     generation: u32,

@@ -2,8 +2,9 @@
 
 use super::baselines::{Table, quoted};
 use crate::baselines::results;
-use crate::failure::Outcome;
+use crate::failure::{Failure, Outcome};
 use crate::policy::PolicySpec;
+use crate::train::progress::say;
 use clap::Args;
 use cross_sim::controller::RuleBased;
 use std::process::ExitCode;
@@ -38,7 +39,16 @@ impl Results {
         let rules = [RuleBased::FixedTime].into_iter().chain(RuleBased::MAX_PRESSURE_VARIANTS);
         let mut policies: Vec<_> = rules.map(PolicySpec::Rule).collect();
         for policy in &self.policies {
-            policies.push(PolicySpec::parse(policy)?);
+            let learned = PolicySpec::parse(policy)?;
+            if let Some(rule) = learned.rule() {
+                return Err(Failure::input(format!(
+                    "{rule} is a rule; Fixed-Time and Max-Pressure are in the table anyway, others in that of cross baselines"
+                )));
+            }
+            if policies.iter().any(|other| other.key() == learned.key()) {
+                say(&format!("{policy} has the weights of another one that was named, and appears once"));
+            }
+            policies.push(learned);
         }
         let mut words = vec!["cross results".to_owned()];
         words.extend(self.policies.iter().map(|policy| format!("--policy {}", quoted(policy))));

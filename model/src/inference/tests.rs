@@ -208,3 +208,35 @@ fn newer_weights_take_effect_in_mid_episode() {
         assert_eq!(policy.recurrent_state(), fresh.recurrent_state(), "{gfe:?}");
     }
 }
+
+#[test]
+fn it_makes_no_difference_when_the_critic_catches_up() {
+    crate::set_single_threaded();
+    for gfe in [Gfe::Paper, Gfe::Movement] {
+        let layout = layout();
+        let case = case(gfe, |_| {});
+        let (older, newer) = (snapshot(&case, 5, |_, _| {}), snapshot(&case, 6, |_, _| {}));
+        let play = |often: bool| {
+            let mut policy = Policy::from_snapshot(&older).unwrap();
+            policy.begin_episode(&layout).unwrap();
+            for step in 0..6 {
+                policy.act(&observation(&layout, &case.env, step), ActMode::Greedy).unwrap();
+                for _ in 0..2 * usize::from(often) {
+                    policy.catch_up();
+                }
+                if step == 3 {
+                    // What the old weights have seen, they take in.
+                    policy.replace_weights(&newer).unwrap();
+                }
+            }
+            policy.recurrent_state()
+        };
+        assert_eq!(play(true), play(false), "{gfe:?}");
+        // An episode begins with nothing to catch up with.
+        let mut policy = Policy::from_snapshot(&older).unwrap();
+        policy.begin_episode(&layout).unwrap();
+        policy.act(&observation(&layout, &case.env, 0), ActMode::Greedy).unwrap();
+        policy.begin_episode(&layout).unwrap();
+        assert!(policy.recurrent_state().critic.iter().all(|&value| value == 0.0), "{gfe:?}");
+    }
+}

@@ -222,8 +222,9 @@ impl Env {
     ///
     /// # Errors
     /// [`SimError::Action`] for actions that do not exist, [`SimError::NotRunning`] before a reset,
-    /// [`SimError::EpisodeOver`] after the last step: nothing has changed then. [`SimError::Traci`] if SUMO failed; the
-    /// episode is lost then, SUMO has ended, and the environment can be reset.
+    /// [`SimError::EpisodeOver`] after the last step: nothing has changed then. [`SimError::Traci`] if SUMO failed,
+    /// [`SimError::ProgramNotRunning`] if it left its program; the episode is lost then, SUMO has ended, and the environment
+    /// can be reset.
     pub fn step(&mut self, actions: &[u8]) -> Result<Step<'_>, SimError> {
         self.begin_step(actions)?.complete()
     }
@@ -239,8 +240,8 @@ impl Env {
         let driven = self.options.signals == Signals::Driven;
         let ordered = self
             .order(&mut simulation, actions, &mut |simulation, _, seconds| simulation.run(seconds))
-            // What SUMO's own program shows is asked first.
-            .and_then(|()| if driven { Ok(simulation.begin()?) } else { Ok(()) });
+            // Under a program of SUMO's it is asked what that shows before it is asked who is there.
+            .and_then(|()| if driven { Ok(simulation.begin()?) } else { Ok(simulation.flush()?) });
         self.timings.traci += begun.elapsed();
         match ordered {
             Ok(()) => Ok(StepUnderWay { env: self, simulation }),
@@ -288,9 +289,10 @@ impl Env {
         self.simulation.take().ok_or(SimError::NotRunning)
     }
 
-    /// Keeps the simulation unless the error is SUMO's: then it is in no state that the episode could go on from.
+    /// Keeps the simulation if the actions were at fault, before which nothing has happened; after any other error it is in
+    /// no state that the episode could go on from.
     fn put_back(&mut self, simulation: Simulation, error: &SimError) {
-        if !error.is_from_sumo() {
+        if matches!(error, SimError::Action(_)) {
             self.simulation = Some(simulation);
         }
     }

@@ -170,7 +170,12 @@ impl Simulation {
         Vehicles::ask_who(&mut batch);
         batch.post()?;
         self.asked_who = true;
-        client.flush()
+        self.flush()
+    }
+
+    /// Has SUMO begin with all that it was told.
+    pub(super) fn flush(&mut self) -> Result<(), TraciError> {
+        self.sumo.client().flush()
     }
 
     /// Counts the vehicles of this moment into a table, which is emptied first.
