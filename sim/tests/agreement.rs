@@ -110,6 +110,8 @@ scenarios! {
     grid4x4: "grid4x4",
     grid5x5: "grid5x5",
     grid5x5_heavy: "grid5x5-heavy",
+    grid5x5_light: "grid5x5-light",
+    grid5x5_mid: "grid5x5-mid",
     ingolstadt1: "ingolstadt1",
     ingolstadt7: "ingolstadt7",
     ingolstadt21: "ingolstadt21",
