@@ -75,8 +75,6 @@ fn info_shows_what_the_paper_s_table_of_data_sets_shows() {
         // The results belong to this demand; the published description to the heavy one, of which only the std is another.
         ("grid5x5", 3682, "mean 61.36, std 36.80, max 125.20, min 14.80", 25, 12, 5),
         ("grid5x5-heavy", 7296, "mean 121.60, std 100.08, max 752.00, min 32.00", 25, 12, 5),
-        ("grid5x5-light", 2071, "mean 34.53, std 20.72", 25, 12, 5),
-        ("grid5x5-mid", 2844, "mean 47.40, std 28.43", 25, 12, 5),
     ] {
         let shown = scenario(&run, &["info", name]);
         assert_eq!(shown.code, Some(0), "{}", shown.stderr);
