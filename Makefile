@@ -39,7 +39,7 @@ train: build ## Train CROSS on real SUMO, then compare it with Fixed-Time and Ma
 baselines: build ## Evaluate the rules on the eight scenarios and write docs/baselines.md (an hour of CPU time; resumable)
 	@$(IN_ENV) exec '$(TARGET)/release/cross' baselines --markdown docs/baselines.md $(ARGS)
 
-results: build ## Evaluate the published policies beside the rules and write docs/results.md (two hours of CPU time; resumable)
+results: build ## Evaluate the published policies beside the rules and write docs/results.md (an hour of CPU time; resumable)
 	@$(IN_ENV) exec '$(TARGET)/release/cross' results --markdown docs/results.md $(ARGS)
 
 test: build test-setup ## Every test: set-up, documentation, units, and whole clusters with real SUMO
