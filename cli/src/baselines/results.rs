@@ -85,31 +85,40 @@ fn verdicts(page: &mut String, report: &Report) {
     }
     for name in names {
         for (whom, other) in OTHERS {
-            let mut ahead = 0;
-            let mut behind = Vec::new();
-            let mut all = 0;
-            for scenario in &report.scenarios {
-                for (policy, _) in learned(scenario).filter(|(policy, _)| policy.policy == name) {
-                    for metric in Metric::PAPER {
-                        let (Some(ours), Some(theirs)) = (mean(policy, metric), other(scenario, metric))
-                        else {
-                            continue;
-                        };
-                        all += 1;
-                        if better(metric, ours, theirs) {
-                            ahead += 1;
-                        } else if better(metric, theirs, ours) {
-                            behind.push(format!("{} ({})", code(&scenario.scenario), metric.name()));
-                        }
-                    }
-                }
-            }
-            if all > 0 {
+            let figures = shared(report, name, other);
+            let behind: Vec<_> = figures
+                .iter()
+                .filter(|figure| better(figure.metric, figure.theirs, figure.ours))
+                .map(|figure| format!("{} ({})", code(&figure.scenario.scenario), figure.metric.name()))
+                .collect();
+            let ahead =
+                figures.iter().filter(|figure| better(figure.metric, figure.ours, figure.theirs)).count();
+            if !figures.is_empty() {
                 let behind = if behind.is_empty() { "none".to_owned() } else { behind.join(", ") };
-                row(page, &[code(name), whom.to_owned(), format!("{ahead} of {all}"), behind]);
+                row(page, &[code(name), whom.to_owned(), format!("{ahead} of {}", figures.len()), behind]);
             }
         }
     }
+}
+
+/// A metric on a scenario that both a policy and somebody else have.
+struct Shared<'r> {
+    scenario: &'r ScenarioReport,
+    metric: Metric,
+    ours: f64,
+    theirs: f64,
+}
+
+fn shared<'r>(report: &'r Report, name: &str, other: Other) -> Vec<Shared<'r>> {
+    let mut figures = Vec::new();
+    for scenario in &report.scenarios {
+        let Some((policy, _)) = learned(scenario).find(|(policy, _)| policy.policy == name) else { continue };
+        figures.extend(Metric::PAPER.into_iter().filter_map(|metric| {
+            let (ours, theirs) = (mean(policy, metric)?, other(scenario, metric)?);
+            Some(Shared { scenario, metric, ours, theirs })
+        }));
+    }
+    figures
 }
 
 /// Somebody's figure on a scenario.
