@@ -26,7 +26,8 @@ pub(crate) fn measured<T>(work: impl FnOnce() -> Result<T, BenchError>) -> Resul
     Ok((result, Cost { wall, cpu: own_cpu + children, own_cpu }))
 }
 
-/// Adds a row of wall time and one of CPU time, each of the pair of ours and the baseline's whose ratio is the median.
+/// Adds a row of wall time and one of CPU time, each of the pair of ours and the baseline's whose ratio is the median; and,
+/// of several pairs, a row of the least wall time of each side, which other programs have disturbed least.
 pub(crate) fn compare(case: &str, baseline: &str, pairs: &[(Cost, Cost)], rows: &mut Vec<Row>) {
     for (unit, of) in [("wall", (|cost| cost.wall) as fn(&Cost) -> f64), ("CPU", |cost| cost.cpu)] {
         let pairs = pairs.iter().map(|(ours, theirs)| (of(ours), of(theirs))).collect();
@@ -34,6 +35,23 @@ pub(crate) fn compare(case: &str, baseline: &str, pairs: &[(Cost, Cost)], rows: 
             rows.push(Row::new(format!("{case}, {unit}"), "s", Better::Lower, ours, (baseline, theirs)));
         }
     }
+    if pairs.len() > 1 {
+        let (ours, theirs) = fastest_of_each(pairs);
+        rows.push(Row::new(
+            format!("{case}, wall, fastest of each"),
+            "s",
+            Better::Lower,
+            ours,
+            (baseline, theirs),
+        ));
+    }
+}
+
+/// Least wall time of ours and of a baseline's, of whichever pairs.
+fn fastest_of_each(pairs: &[(Cost, Cost)]) -> (f64, f64) {
+    pairs.iter().fold((f64::INFINITY, f64::INFINITY), |(ours, theirs), pair| {
+        (ours.min(pair.0.wall), theirs.min(pair.1.wall))
+    })
 }
 
 /// Of pairs of ours and a baseline's the one whose ratio is the median: two medians of their own may stem from different
@@ -79,5 +97,18 @@ mod tests {
         assert_eq!(middle_pair(vec![(3.0, 1.0), (1.0, 1.0), (4.0, 2.0)]), Some((4.0, 2.0)));
         assert_eq!(middle_pair(vec![(2.0, 2.0), (1.0, 2.0)]), Some((2.0, 2.0)));
         assert_eq!(middle_pair(vec![]), None);
+    }
+
+    #[test]
+    fn the_fastest_of_each_side_may_be_of_different_pairs() {
+        let pair =
+            |ours, theirs| (Cost { wall: ours, ..Cost::default() }, Cost { wall: theirs, ..Cost::default() });
+        let mut rows = Vec::new();
+        compare("a", "b", &[pair(3.0, 1.0), pair(2.0, 4.0)], &mut rows);
+        let fastest = rows.iter().find(|row| row.case == "a, wall, fastest of each").unwrap();
+        assert_eq!((fastest.ours, fastest.baseline), (2.0, 1.0));
+        rows.clear();
+        compare("a", "b", &[pair(3.0, 1.0)], &mut rows);
+        assert_eq!(rows.len(), 2, "one pair has no fastest");
     }
 }

@@ -11,6 +11,7 @@ use cross_model::features::{FeatureSizes, NetworkSpec};
 use cross_model::losses;
 use cross_model::net::{Net, Role};
 use cross_model::rounds::{Minibatch, Networks, Round};
+use cross_model::value_scale::ValueScales;
 use cross_model::{Trainer, snapshot};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -90,8 +91,8 @@ fn minibatches(config: &Config, sizes: &FeatureSizes, actor: &Net, critic: &Net)
             (name.clone(), Arc::new(NetworkSpec::new(layout, &config.env, &config.model).unwrap()))
         })
         .collect();
-    let round =
-        Round::new(&fragments, &networks, (actor, critic), sizes, config.model.hidden, &config.ppo).unwrap();
+    let (hidden, ppo, scales) = (config.model.hidden, &config.ppo, &mut ValueScales::default());
+    let round = Round::new(&fragments, &networks, (actor, critic), sizes, hidden, ppo, scales).unwrap();
     let target = losses::target_width(&config.model, sizes);
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let minibatches = round.minibatches(&config.ppo, &mut rng);

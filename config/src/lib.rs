@@ -14,7 +14,7 @@ pub use env::{Detection, EnvConfig};
 pub use error::ConfigError;
 pub use learner::{ActorConfig, ComputeDevice, LearnerConfig, Precision, checkpoint_url};
 pub use model::{Gfe, ModelConfig};
-pub use ppo::{EntropySchedule, PpoConfig, RewardScale};
+pub use ppo::{EntropySchedule, PpoConfig, RewardScale, ValueScale};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};

@@ -14,6 +14,16 @@ pub enum RewardScale {
     Capacity,
 }
 
+/// The size at which the critic learns returns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ValueScale {
+    /// As they are.
+    Raw,
+    /// Shifted and scaled to mean 0 and deviation 1, each scenario by itself, by running moments.
+    Scenario,
+}
+
 /// Weight of the entropy bonus over the run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -73,6 +83,8 @@ pub struct PpoConfig {
     pub reward_scale: RewardScale,
     /// Further constant factor on the reward for learning.
     pub reward_factor: f64,
+    /// Size at which the critic learns returns.
+    pub value_scale: ValueScale,
 }
 
 impl Default for PpoConfig {
@@ -100,6 +112,7 @@ impl Default for PpoConfig {
             normalise_advantages: true,
             reward_scale: RewardScale::Capacity,
             reward_factor: 10.0,
+            value_scale: ValueScale::Scenario,
         }
     }
 }

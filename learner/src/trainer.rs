@@ -288,6 +288,7 @@ impl Worker {
                 libtorch: cross_model::libtorch_version().to_owned(),
             },
             device: self.trainer.placement().device_name(),
+            averaged: Vec::new(),
             files: BTreeMap::new(),
             progress: self.progress.clone(),
             config: serde_json::to_value(config).unwrap_or_default(),

@@ -9,6 +9,7 @@
 //! [`Policy`] acts, and is owned by the simulator thread of an actor. Nothing here is asynchronous.
 
 pub mod adam;
+mod average;
 pub mod batch;
 pub mod error;
 pub mod features;
@@ -22,15 +23,19 @@ pub mod placement;
 pub mod plain;
 pub mod policy;
 pub mod rounds;
+pub mod routing;
 pub mod snapshot;
 pub mod stats;
 pub mod trainer;
+pub mod value_scale;
 mod vector;
 
+pub use average::average;
 pub use error::ModelError;
 pub use placement::{Abilities, Placement};
 pub use plain::PlainPolicy;
 pub use policy::{ActMode, Decision, Policy};
+pub use routing::Routing;
 pub use stats::{ScenarioStats, UpdateStats};
 pub use trainer::{Trainer, TrainerFiles};
 

@@ -15,7 +15,7 @@ pub struct Targets {
     pub log_probs: Tensor,
     /// Advantages `[samples]`.
     pub advantages: Tensor,
-    /// Value targets `[samples]`.
+    /// Value targets `[samples]`, at the size of the critic's outputs.
     pub returns: Tensor,
     /// Features of the next step that prediction should meet `[samples, target]`.
     pub next: Tensor,

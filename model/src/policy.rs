@@ -4,6 +4,7 @@ use crate::error::ModelError;
 use crate::features::{FeatureSizes, NetworkSpec, Track};
 use crate::inference::{Actor, ActorWork, Constant, Critic, CriticWork};
 use crate::net::{Net, Role};
+use crate::routing::{Routing, means_by_agent};
 use crate::snapshot::{self, PolicyMetadata};
 use crate::vector::Isa;
 use cross_config::{EnvConfig, ModelConfig};
@@ -41,6 +42,8 @@ pub struct Policy {
     state: RecurrentState,
     /// The critic's recurrent state is one observation behind the actor's; that observation is still in the buffers.
     critic_behind: bool,
+    /// Nobody records what it does, so that nobody needs the critic's state.
+    only_acts: bool,
     buffers: Buffers,
 }
 
@@ -83,8 +86,16 @@ impl Policy {
             network: None,
             state: RecurrentState::default(),
             critic_behind: false,
+            only_acts: false,
             buffers: Buffers::default(),
         })
+    }
+
+    /// The same policy for whoever acts and records nothing: the critic's state, a fifth of the work of a decision, stays
+    /// what it was at the episode's start.
+    #[must_use]
+    pub fn only_acting(self) -> Self {
+        Self { only_acts: true, ..self }
     }
 
     /// Version of the weights.
@@ -114,6 +125,8 @@ impl Policy {
         let zeros = || vec![0.0; spec.agents.len() * self.metadata.model.hidden as usize];
         self.state = RecurrentState { actor: zeros(), critic: zeros() };
         self.critic_behind = false;
+        // Nothing that was decided on another network is this one's.
+        self.buffers = Buffers::default();
         let constant = self.actor.constant(&spec);
         self.network = Some(Begun { spec, constant });
         Ok(())
@@ -177,7 +190,7 @@ impl Policy {
     /// Takes the critic's recurrent state past the last observation. No decision waits for it, so that this can be done
     /// while SUMO simulates; what is left undone, the next call that needs it does.
     pub fn catch_up(&mut self) {
-        if !std::mem::take(&mut self.critic_behind) {
+        if !std::mem::take(&mut self.critic_behind) || self.only_acts {
             return;
         }
         if let Some(Begun { spec, .. }) = &self.network {
@@ -191,6 +204,17 @@ impl Policy {
     #[must_use]
     pub fn log_probs(&self) -> &[f32] {
         &self.buffers.log_probs
+    }
+
+    /// The experts and clusters that the last decision went through; before the first decision of a network empty.
+    #[must_use]
+    pub fn routing(&self) -> Routing {
+        let Some(Begun { spec, .. }) = &self.network else { return Routing::default() };
+        let model = &self.metadata.model;
+        Routing {
+            experts: means_by_agent(spec, &self.buffers.actor.gates(), model.experts as usize),
+            clusters: means_by_agent(spec, self.buffers.actor.assignment(), model.clusters as usize),
+        }
     }
 
     /// The recurrent state before the next [`Policy::act`], row-major `[agents, hidden]` each.

@@ -8,6 +8,7 @@ use crate::gae;
 use crate::losses::{self, Targets};
 use crate::net::Net;
 use crate::policy::floats;
+use crate::value_scale::{ValueScale, ValueScales};
 use cross_config::{Gfe, PpoConfig, RewardScale};
 use cross_sim::trajectory::{Fragment, FragmentEnd};
 use rand::seq::SliceRandom;
@@ -85,12 +86,15 @@ pub type Networks = Vec<(String, Arc<NetworkSpec>)>;
 #[derive(Debug)]
 pub struct Round {
     networks: Networks,
+    /// How each network's critic outputs and returns belong together.
+    scales: Vec<ValueScale>,
     pieces: Vec<Piece>,
     hidden: usize,
 }
 
 impl Round {
-    /// Prepares fragments under the present networks.
+    /// Prepares fragments under the present networks. `scales` are those under which the critic has learned so far; they
+    /// take this round's returns in, for it to learn them from now on.
     ///
     /// # Errors
     /// [`ModelError::UnknownScenario`] or [`ModelError::Shape`] for a fragment that does not belong here.
@@ -101,8 +105,20 @@ impl Round {
         sizes: &FeatureSizes,
         hidden: i64,
         ppo: &PpoConfig,
+        scales: &mut ValueScales,
     ) -> Result<Self, ModelError> {
-        let mut round = Self { networks: networks.clone(), pieces: Vec::new(), hidden: hidden as usize };
+        let mut round = Self {
+            networks: networks.clone(),
+            scales: networks
+                .iter()
+                .map(|(name, _)| match ppo.value_scale {
+                    cross_config::ValueScale::Scenario => scales.of(name),
+                    cross_config::ValueScale::Raw => ValueScale::IDENTITY,
+                })
+                .collect(),
+            pieces: Vec::new(),
+            hidden: hidden as usize,
+        };
         let mut firsts = Vec::with_capacity(fragments.len());
         for fragment in fragments {
             let scenario = networks
@@ -114,7 +130,18 @@ impl Round {
             round.push_fragment(fragment, scenario, nets, sizes, ppo);
         }
         round.estimate_advantages(fragments, &firsts, ppo);
+        if ppo.value_scale == cross_config::ValueScale::Scenario {
+            round.rescale(scales);
+        }
         Ok(round)
+    }
+
+    fn rescale(&mut self, scales: &mut ValueScales) {
+        for (scenario, (name, _)) in self.networks.iter().enumerate() {
+            let own = self.pieces.iter().filter(|piece| piece.scenario == scenario);
+            scales.observe(name, own.flat_map(|piece| piece.returns.iter().copied()));
+            self.scales[scenario] = scales.of(name);
+        }
     }
 
     /// Agent-decisions in it.
@@ -132,6 +159,7 @@ impl Round {
         ppo: &PpoConfig,
     ) {
         let network = Arc::clone(&self.networks[scenario].1);
+        let value_scale = self.scales[scenario];
         let (agents, steps, hidden) = (network.agents.len(), fragment.steps as usize, self.hidden);
         let tracks: Vec<Track> = (0..agents)
             .map(|agent| Track::new(&network, agent, &fragment.counts, &fragment.phases))
@@ -166,7 +194,8 @@ impl Round {
         let mut tracks: Vec<Option<Track>> = tracks.into_iter().map(Some).collect();
         for (position, &agent) in batch.order.iter().enumerate() {
             let scale = reward_scale(&network, agent, ppo);
-            let mut own_values = values[position * (steps + 1)..(position + 1) * (steps + 1)].to_vec();
+            let outputs = &values[position * (steps + 1)..(position + 1) * (steps + 1)];
+            let mut own_values: Vec<f32> = outputs.iter().map(|&v| value_scale.to_return(v)).collect();
             if fragment.end == FragmentEnd::Terminated {
                 own_values[steps] = 0.0;
             }
@@ -282,7 +311,8 @@ impl Round {
             actions.extend_from_slice(&piece.actions[range.clone()]);
             log_probs.extend_from_slice(&piece.log_probs[range.clone()]);
             advantages.extend_from_slice(&piece.advantages[range.clone()]);
-            returns.extend_from_slice(&piece.returns[range.clone()]);
+            let scale = self.scales[piece.scenario];
+            returns.extend(piece.returns[range.clone()].iter().map(|&value| scale.to_output(value)));
             for t in range {
                 self.push_next(piece, t, sizes, &mut next);
                 has_next.push(f32::from(u8::from(t + 1 < piece.steps || piece.goes_on)));

@@ -7,8 +7,10 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use std::collections::{BTreeMap, HashMap};
 use tch::{Kind, Tensor};
 
-/// Version of the files' layout.
+/// Version of the policy file's layout.
 pub const FORMAT_VERSION: &str = "1";
+/// Version of the optimiser file's layout; 2 since the critic's outputs have a size of their own in each scenario.
+pub const OPTIMIZER_FORMAT_VERSION: &str = "2";
 /// What a file of weights calls itself.
 pub const POLICY_FORMAT: &str = "cross-policy";
 /// What a file of optimiser state calls itself.
@@ -103,10 +105,11 @@ impl<'a> File<'a> {
             return Err(ModelError::Foreign { what, reason: format!("expected {format}, found {found}") });
         }
         let version = metadata.get("format_version").map_or("none", String::as_str);
-        if version != FORMAT_VERSION {
+        let readable = if format == OPTIMIZER_FORMAT { OPTIMIZER_FORMAT_VERSION } else { FORMAT_VERSION };
+        if version != readable {
             return Err(ModelError::Foreign {
                 what,
-                reason: format!("format version {version}, this program reads {FORMAT_VERSION}"),
+                reason: format!("format version {version}, this program reads {readable}"),
             });
         }
         Ok(Self { what, tensors, metadata })

@@ -10,7 +10,8 @@ use crate::placement::Placement;
 use crate::rounds::{Minibatch, Networks, Round};
 use crate::snapshot::{self, File, OPTIMIZER_FORMAT, PolicyMetadata};
 use crate::stats::{Means, UpdateStats};
-use cross_config::{Config, EntropySchedule};
+use crate::value_scale::ValueScales;
+use cross_config::{Config, EntropySchedule, ValueScale};
 use cross_sim::layout::NetworkLayout;
 use cross_sim::trajectory::Fragment;
 use rand::SeedableRng;
@@ -26,7 +27,7 @@ const SCHEDULE_FLOOR: f64 = 0.1;
 pub struct TrainerFiles {
     /// Policy file: weights of both networks. Also what evaluation reads.
     pub model: Vec<u8>,
-    /// Adam's moments and steps, random generator, counters.
+    /// Adam's moments and steps, random generator, counters, sizes of values.
     pub optimizer: Vec<u8>,
 }
 
@@ -40,6 +41,7 @@ pub struct Trainer {
     critic: Net,
     actor_adam: Adam,
     critic_adam: Adam,
+    value_scales: ValueScales,
     rng: ChaCha8Rng,
     updates: u64,
     placement: Placement,
@@ -81,6 +83,7 @@ impl Trainer {
             critic,
             actor_adam,
             critic_adam,
+            value_scales: ValueScales::default(),
             rng,
             updates: 0,
             placement,
@@ -137,7 +140,9 @@ impl Trainer {
     fn try_update(&mut self, fragments: &[Fragment]) -> Result<UpdateStats, ModelError> {
         let ppo = self.config.ppo.clone();
         let nets = (&self.actor, &self.critic);
-        let round = Round::new(fragments, &self.networks, nets, &self.sizes, self.config.model.hidden, &ppo)?;
+        let hidden = self.config.model.hidden;
+        let round =
+            Round::new(fragments, &self.networks, nets, &self.sizes, hidden, &ppo, &mut self.value_scales)?;
         let target = losses::target_width(&self.config.model, &self.sizes);
         let mut means = Means::new(self.networks.len());
         for _ in 0..ppo.epochs {
@@ -239,11 +244,13 @@ impl Trainer {
     pub fn save(&self) -> Result<TrainerFiles, ModelError> {
         // Plain data serialises.
         let rng = serde_json::to_string(&self.rng).expect("a generator serialises");
+        let value_scales = serde_json::to_string(&self.value_scales).expect("sums serialise");
         let metadata = snapshot::Metadata::from([
             ("format".to_owned(), OPTIMIZER_FORMAT.to_owned()),
-            ("format_version".to_owned(), snapshot::FORMAT_VERSION.to_owned()),
+            ("format_version".to_owned(), snapshot::OPTIMIZER_FORMAT_VERSION.to_owned()),
             ("updates".to_owned(), self.updates.to_string()),
             ("rng".to_owned(), rng),
+            ("value_scales".to_owned(), value_scales),
             ("actor_t".to_owned(), self.actor_adam.t.to_string()),
             ("critic_t".to_owned(), self.critic_adam.t.to_string()),
         ]);
@@ -277,6 +284,13 @@ impl Trainer {
         let file = File::read(optimizer, OPTIMIZER_FORMAT, "optimizer state")?;
         let updates: u64 = file.value("updates")?;
         let rng: ChaCha8Rng = file.json("rng")?;
+        let value_scales: ValueScales = file.json("value_scales")?;
+        if !value_scales.is_sound() {
+            return Err(ModelError::Mismatch {
+                what: "optimizer state",
+                reason: "its value_scales hold a number that no run leaves".to_owned(),
+            });
+        }
         let steps: (u64, u64) = (file.value("actor_t")?, file.value("critic_t")?);
         if updates.checked_add(1) != Some(metadata.policy_version) {
             return Err(ModelError::Mismatch {
@@ -287,11 +301,21 @@ impl Trainer {
                 ),
             });
         }
+        // The critic's outputs are of the size that it has learned.
+        let scaled = self.config.ppo.value_scale == ValueScale::Scenario;
+        if updates > 0 && scaled == value_scales.is_empty() {
+            return Err(ModelError::Mismatch {
+                what: "checkpoint",
+                reason: "its run has another ppo.value_scale; resume with the one that it was begun with"
+                    .to_owned(),
+            });
+        }
         snapshot::load_weights(model, &self.actor, &self.critic)?;
         for (name, moment) in self.moments() {
             file.copy_into(&name, moment)?;
         }
         (self.actor_adam.t, self.critic_adam.t) = steps;
+        self.value_scales = value_scales;
         self.rng = rng;
         self.updates = updates;
         Ok(())

@@ -11,6 +11,7 @@ use cross_model::losses::target_width;
 use cross_model::net::{Net, Role};
 use cross_model::rounds::Round;
 use cross_model::snapshot::{self, PolicyMetadata};
+use cross_model::value_scale::ValueScales;
 use cross_model::{ActMode, Policy};
 use cross_sim::layout::NetworkLayout;
 use cross_sim::trajectory::{Fragment, FragmentEnd, Observation};
@@ -66,7 +67,8 @@ fn check(config: &Config) {
     let spec = Arc::new(NetworkSpec::new(&layout, &config.env, &config.model).unwrap());
     let networks = vec![("toy".to_owned(), spec)];
     let nets = (&actor, &critic);
-    let round = Round::new(&fragments, &networks, nets, &sizes, config.model.hidden, &config.ppo).unwrap();
+    let (ppo, scales) = (&config.ppo, &mut ValueScales::default());
+    let round = Round::new(&fragments, &networks, nets, &sizes, config.model.hidden, ppo, scales).unwrap();
     let sequence = config.ppo.sequence_steps as usize;
     let mut seen = 0;
     for (length, slices) in round.slices(sequence) {

@@ -6,7 +6,7 @@
 mod common;
 
 use common::{Toy, id, ragged, round, tiny_config};
-use cross_config::{Config, Detection, Gfe};
+use cross_config::{Config, Detection, Gfe, RewardScale, ValueScale};
 use cross_model::{ModelError, Policy, Trainer, snapshot};
 use cross_sim::trajectory::FragmentEnd;
 use rand::SeedableRng;
@@ -102,7 +102,7 @@ fn every_loss_weight_matters() {
     };
     let reference = after(&base);
     type Change = (&'static str, fn(&mut Config));
-    let changes: [Change; 8] = [
+    let changes: [Change; 11] = [
         ("entropy", |c| c.ppo.entropy = 0.0),
         ("value", |c| c.ppo.value = 0.0),
         ("prediction", |c| c.ppo.prediction = 0.0),
@@ -111,6 +111,9 @@ fn every_loss_weight_matters() {
         ("load_balance", |c| c.ppo.load_balance = 0.0),
         ("selection_entropy", |c| c.ppo.selection_entropy = 0.0),
         ("normalise_advantages", |c| c.ppo.normalise_advantages = false),
+        ("reward_factor", |c| c.ppo.reward_factor = 1.0),
+        ("reward_scale", |c| c.ppo.reward_scale = RewardScale::Raw),
+        ("value_scale", |c| c.ppo.value_scale = ValueScale::Raw),
     ];
     for (name, change) in changes {
         let mut config = base.clone();
@@ -219,6 +222,26 @@ fn damaged_and_foreign_files_are_told_apart() {
 }
 
 #[test]
+fn a_critic_goes_on_at_the_size_that_it_has_learned() {
+    let scaled = tiny_config();
+    let mut raw = tiny_config();
+    raw.ppo.value_scale = ValueScale::Raw;
+    for (own, other) in [(&scaled, &raw), (&raw, &scaled)] {
+        let mut first = trainer(own);
+        let fresh = first.save().unwrap();
+        let fragments = round(&first, &mut Toy::new(&ragged(), own, 9), 12);
+        first.update(&fragments).unwrap();
+        let files = first.save().unwrap();
+        let mut second = trainer(other);
+        let refused = second.restore(&files.model, &files.optimizer).unwrap_err().to_string();
+        assert!(refused.contains("ppo.value_scale"), "{refused}");
+        // Before the first update nothing has been learned at any size.
+        second.restore(&fresh.model, &fresh.optimizer).unwrap();
+        trainer(own).restore(&files.model, &files.optimizer).unwrap();
+    }
+}
+
+#[test]
 fn a_count_of_updates_that_has_no_successor_is_refused() {
     let mut trainer = trainer(&tiny_config());
     let files = trainer.save().unwrap();
@@ -226,8 +249,9 @@ fn a_count_of_updates_that_has_no_successor_is_refused() {
     let rng = serde_json::to_string(&ChaCha8Rng::seed_from_u64(0)).unwrap();
     let metadata = snapshot::Metadata::from([
         text("format", snapshot::OPTIMIZER_FORMAT),
-        text("format_version", snapshot::FORMAT_VERSION),
+        text("format_version", snapshot::OPTIMIZER_FORMAT_VERSION),
         text("updates", &u64::MAX.to_string()),
+        text("value_scales", "{}"),
         text("rng", &rng),
         text("actor_t", "0"),
         text("critic_t", "0"),

@@ -8,6 +8,7 @@ use cross_model::adam::{Adam, zero_gradients};
 use cross_model::features::{FeatureSizes, NetworkSpec};
 use cross_model::net::{Net, Role};
 use cross_model::rounds::{Networks, Round};
+use cross_model::value_scale::ValueScales;
 use cross_model::{ModelError, losses::target_width, snapshot};
 use cross_sim::layout::NetworkLayout;
 use cross_sim::trajectory::Fragment;
@@ -24,6 +25,7 @@ pub struct PlainLearner {
     networks: Networks,
     actor: Side,
     critic: Side,
+    value_scales: ValueScales,
     rng: ChaCha8Rng,
 }
 
@@ -66,6 +68,7 @@ impl PlainLearner {
             networks,
             actor: side(actor, config.ppo.actor_lr),
             critic: side(critic, config.ppo.critic_lr),
+            value_scales: ValueScales::default(),
             config: config.clone(),
             rng,
         })
@@ -83,7 +86,8 @@ impl PlainLearner {
     pub fn update(&mut self, fragments: &[Fragment], epochs: u32) -> Result<(), ModelError> {
         let (model, ppo) = (&self.config.model, &self.config.ppo);
         let nets = (&self.actor.net, &self.critic.net);
-        let round = Round::new(fragments, &self.networks, nets, &self.sizes, model.hidden, ppo)?;
+        let scales = &mut self.value_scales;
+        let round = Round::new(fragments, &self.networks, nets, &self.sizes, model.hidden, ppo, scales)?;
         let target = target_width(model, &self.sizes);
         for _ in 0..epochs {
             for slices in round.minibatches(ppo, &mut self.rng) {

@@ -10,6 +10,7 @@ use cross_model::losses;
 use cross_model::net::{Net, Role};
 use cross_model::rounds::{Networks, Round};
 use cross_model::snapshot::{self, Metadata};
+use cross_model::value_scale::ValueScales;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;
@@ -37,7 +38,9 @@ pub fn export(form: Gfe, directory: &Path, progress: Progress<'_>) -> Result<(),
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     let actor = Net::new(Role::Actor, model, &sizes, &mut rng);
     let critic = Net::new(Role::Critic, model, &sizes, &mut rng);
-    let round = Round::new(&fragments, &networks, (&actor, &critic), &sizes, model.hidden, ppo)?;
+    let nets = (&actor, &critic);
+    let scales = &mut ValueScales::default();
+    let round = Round::new(&fragments, &networks, nets, &sizes, model.hidden, ppo, scales)?;
 
     let mut tensors: Vec<(String, Tensor)> = Vec::new();
     for (name, tensor) in actor.params().iter().chain(critic.params().iter()) {

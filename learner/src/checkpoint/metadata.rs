@@ -51,6 +51,9 @@ pub struct Metadata {
     /// Where its updates were last computed; any other device can go on from here.
     #[serde(default)]
     pub device: String,
+    /// Ids of the checkpoints whose mean the weights are, oldest first; empty where they are one checkpoint's own.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub averaged: Vec<String>,
     /// Size and hash of each file beside this one.
     pub files: BTreeMap<String, FileInfo>,
     /// Counters from which admission goes on.

@@ -31,6 +31,7 @@ pub(super) fn metadata(updates: u64) -> Metadata {
         layouts: BTreeMap::new(),
         versions: Versions::default(),
         device: String::new(),
+        averaged: Vec::new(),
         files: BTreeMap::new(),
         progress: Progress { updates, next_episode: 3, ..Progress::default() },
         config: serde_json::from_str(&config.to_json()).unwrap(),

@@ -57,6 +57,18 @@ pub(crate) struct ActorWork {
     assignment: Vec<f32>,
 }
 
+impl ActorWork {
+    /// Weight of every expert in every phase `[rows, experts]`; empty without a mixture.
+    pub(crate) fn gates(&self) -> Vec<f32> {
+        self.moe.gates(self.scores.len())
+    }
+
+    /// Soft assignment of every phase `[rows, clusters]`; empty without clustering.
+    pub(crate) fn assignment(&self) -> &[f32] {
+        &self.assignment
+    }
+}
+
 impl Actor {
     /// From an actor network's weights.
     ///

@@ -41,6 +41,20 @@ pub(super) struct MoeWork {
     best: Vec<(usize, f32)>,
 }
 
+impl MoeWork {
+    /// Weight of every expert in every row `[rows, experts]`; empty without a router.
+    pub(super) fn gates(&self, rows: usize) -> Vec<f32> {
+        let experts = self.chosen.len();
+        let mut gates = vec![0.0; rows * experts];
+        for (expert, chosen) in self.chosen.iter().enumerate() {
+            for &(row, weight) in chosen {
+                gates[row * experts + expert] = weight;
+            }
+        }
+        gates
+    }
+}
+
 impl Moe {
     /// `weights` are the whole network's; `centres` `[clusters, latent]` if there is clustering.
     pub(super) fn new(

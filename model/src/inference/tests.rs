@@ -240,3 +240,25 @@ fn it_makes_no_difference_when_the_critic_catches_up() {
         assert!(policy.recurrent_state().critic.iter().all(|&value| value == 0.0), "{gfe:?}");
     }
 }
+
+#[test]
+fn who_only_acts_decides_alike_and_spares_the_critic() {
+    crate::set_single_threaded();
+    let layout = layout();
+    let case = case(Gfe::Movement, |_| {});
+    let snapshot = snapshot(&case, 5, |_, _| {});
+    let play = |mut policy: Policy| {
+        policy.begin_episode(&layout).unwrap();
+        let mut log_probs = Vec::new();
+        for step in 0..4 {
+            policy.act(&observation(&layout, &case.env, step), ActMode::Greedy).unwrap();
+            log_probs.extend_from_slice(policy.log_probs());
+        }
+        (log_probs, policy.recurrent_state())
+    };
+    let recording = play(Policy::from_snapshot(&snapshot).unwrap());
+    let acting = play(Policy::from_snapshot(&snapshot).unwrap().only_acting());
+    assert_eq!((&acting.0, &acting.1.actor), (&recording.0, &recording.1.actor));
+    assert!(recording.1.critic.iter().any(|&value| value != 0.0));
+    assert!(acting.1.critic.iter().all(|&value| value == 0.0));
+}

@@ -1,10 +1,11 @@
 //! Reading a fixture, and putting its rows into the order of a packed batch.
 
-use cross_config::{ComputeDevice, Config};
+use cross_config::{ComputeDevice, Config, ValueScale};
 use cross_model::features::{FeatureSizes, NetworkSpec};
 use cross_model::losses;
 use cross_model::net::{Net, Role};
 use cross_model::rounds::{Minibatch, Networks, Round};
+use cross_model::value_scale::ValueScales;
 use cross_sim::layout::{Intersection, Lane, Movement, NetworkLayout, Phase, Road};
 use cross_sim::trajectory::{Fragment, FragmentEnd, FragmentId, RecurrentState};
 use rand::SeedableRng;
@@ -124,6 +125,8 @@ impl Fixture {
         let mut config = Config::from_json(&golden.config.to_string(), name).unwrap();
         // cuDNN rounds to TensorFloat-32, which these tolerances do not allow.
         config.learner.device = ComputeDevice::Cpu;
+        // The reference fits returns as they are.
+        config.ppo.value_scale = ValueScale::Raw;
         let tensors = tensors_of(&bytes);
         let sizes = FeatureSizes::new(&config.env, &config.model);
         let layouts: Vec<(String, Arc<NetworkLayout>)> = golden
@@ -177,9 +180,9 @@ impl Learning {
     pub(crate) fn new(fixture: &Fixture) -> Self {
         let (model, ppo) = (&fixture.config.model, &fixture.config.ppo);
         let nets = (&fixture.actor, &fixture.critic);
-        let round =
-            Round::new(&fixture.fragments, &fixture.networks, nets, &fixture.sizes, model.hidden, ppo)
-                .unwrap();
+        let (fragments, networks, sizes) = (&fixture.fragments, &fixture.networks, &fixture.sizes);
+        let scales = &mut ValueScales::default();
+        let round = Round::new(fragments, networks, nets, sizes, model.hidden, ppo, scales).unwrap();
         let by_length = round.slices(ppo.sequence_steps as usize);
         assert_eq!(by_length.len(), 1, "the fixture's sequences have one length");
         let (&steps, slices) = by_length.first_key_value().unwrap();
