@@ -12,6 +12,7 @@ mod output_file;
 mod paper;
 mod policy;
 mod report;
+mod routing;
 mod saved;
 mod sumo;
 mod train;

@@ -1,7 +1,8 @@
 //! What `--policy` may name: a rule, or weights in any of the forms they come in.
 
 use crate::failure::{Failure, OrBadInput, Outcome};
-use crate::learned::Learned;
+use crate::learned::{Acting, Learned};
+use crate::routing::RoutingLog;
 use crate::saved::policy_by_url;
 use anyhow::Context;
 use cross_config::EnvConfig;
@@ -32,6 +33,8 @@ pub(crate) struct Weights {
     /// First digits of the SHA-256 of the bytes.
     pub(crate) hash: String,
     bytes: Arc<[u8]>,
+    /// How its phases are chosen.
+    pub(crate) acting: Acting,
     /// Environment that it was trained for.
     pub(crate) env: EnvConfig,
     /// Layout hashes of the scenarios that it was trained on, by name, if a checkpoint tells: a file alone does not.
@@ -55,6 +58,7 @@ impl Weights {
             hash,
             env: policy.env().clone(),
             bytes: bytes.into(),
+            acting: Acting::Greedy,
             trained_on: metadata.map(|metadata| metadata.layouts),
         })
     }
@@ -80,6 +84,23 @@ impl PolicySpec {
         Weights::read(text.trim_end_matches('/'), path).map(Self::Learned)
     }
 
+    /// The same learned policy with its phases drawn by their probabilities.
+    ///
+    /// # Errors
+    /// Of a rule, which has none.
+    pub(crate) fn sampled(self) -> Outcome<Self> {
+        match self {
+            Self::Rule(rule) => Err(Failure::input(format!(
+                "{rule} is a rule, whose phases have no probabilities; leave --sampled out"
+            ))),
+            Self::Learned(weights) => Ok(Self::Learned(Weights {
+                name: format!("{}, sampled", weights.name),
+                acting: Acting::Sampled,
+                ..weights
+            })),
+        }
+    }
+
     /// What reports call it.
     pub(crate) fn name(&self) -> &str {
         match self {
@@ -96,11 +117,15 @@ impl PolicySpec {
         }
     }
 
-    /// What tells it from every other policy: a rule's name, or the hash of the weights, however they are called.
+    /// What tells it from every other policy: a rule's name, or the hash of the weights, however they are called, and how
+    /// their phases are chosen.
     pub(crate) fn key(&self) -> String {
         match self {
             Self::Rule(rule) => rule.name().to_owned(),
-            Self::Learned(weights) => format!("weights-{}", weights.hash),
+            Self::Learned(weights) => match weights.acting {
+                Acting::Greedy => format!("weights-{}", weights.hash),
+                Acting::Sampled => format!("weights-{}-sampled", weights.hash),
+            },
         }
     }
 
@@ -124,10 +149,19 @@ impl PolicySpec {
 
     /// A controller for one worker.
     pub(crate) fn controller(&self, scenario: &Scenario) -> Outcome<Box<dyn Controller>> {
+        self.logged(scenario, None)
+    }
+
+    /// As [`PolicySpec::controller`]; a learned one writes down which experts and clusters it uses.
+    pub(crate) fn logged(
+        &self,
+        scenario: &Scenario,
+        log: Option<RoutingLog>,
+    ) -> Outcome<Box<dyn Controller>> {
         match self {
             Self::Rule(rule) => Ok(rule.controller(scenario.reference.max_pressure)),
-            Self::Learned(weights) => {
-                Ok(Box::new(Learned::new(weights.name.clone(), &weights.bytes).or_bad_input()?))
+            Self::Learned(Weights { name, bytes, acting, .. }) => {
+                Ok(Box::new(Learned::new(name.clone(), bytes, *acting, log).or_bad_input()?))
             }
         }
     }
@@ -140,6 +174,13 @@ mod tests {
     #[test]
     fn rules_go_by_name() {
         assert!(matches!(PolicySpec::parse("fixed-time"), Ok(PolicySpec::Rule(RuleBased::FixedTime))));
+    }
+
+    #[test]
+    fn a_rule_has_no_probabilities_to_draw_by() {
+        let failure = PolicySpec::Rule(RuleBased::FixedTime).sampled().unwrap_err();
+        assert_eq!(failure.code(), crate::failure::BAD_INPUT);
+        assert!(failure.to_string().contains("--sampled"), "{failure}");
     }
 
     #[test]

@@ -192,6 +192,36 @@ fn the_published_policy_stands_beside_the_rules() {
     let delay = |policy: &Value| policy["metrics"]["trip_delay"]["mean"].as_f64().unwrap();
     assert!(delay(learned) < delay(&policies[0]), "{policies:?}");
 
+    // One picture of the scenario, with curves of three policies, and experts and clusters of the learned one.
+    let (pictures, file) = (small.folder.path().join("pictures"), small.folder.path().join("page.md"));
+    let (folder, markdown) = (pictures.display().to_string(), file.display().to_string());
+    let drawn = call(&["--pictures", &folder, "--markdown", &markdown]);
+    assert!(drawn.stderr.contains("5 of 5 episodes are in"), "{}", drawn.stderr);
+    assert!(std::fs::read_to_string(&file).unwrap().contains("](<pictures/town.svg>)"));
+    let svg = std::fs::read_to_string(pictures.join("town.svg")).unwrap();
+    assert!(svg.matches("<polyline").count() >= 2 * 3, "{svg}");
+    for part in ["fixed-time", "experts over time", "clusters by intersection"] {
+        assert!(svg.contains(part), "{part} is not in the picture");
+    }
+    let stored = small.results().join("town").read_dir().unwrap().map(|entry| entry.unwrap().path());
+    let learned = stored.into_iter().find(|path| path.display().to_string().contains("weights-")).unwrap();
+    let learned: Value =
+        serde_json::from_slice(&std::fs::read(learned.join("seed-1.json")).unwrap()).unwrap();
+    let minutes = learned["series"]["queue_length"].as_array().unwrap().len().div_ceil(6);
+    for part in ["experts", "clusters"] {
+        let shares = learned["routing"][part]["over_time"].as_array().unwrap();
+        assert_eq!(shares.len(), minutes, "{part}");
+        let sum: f64 = shares[0].as_array().unwrap().iter().map(|share| share.as_f64().unwrap()).sum();
+        assert!((sum - 1.0).abs() < 1e-3, "{part}: {sum}");
+    }
+    let sampled = call(&["--sampled", "--json"]);
+    assert!(sampled.stderr.contains("5 of 6 episodes are in"), "{}", sampled.stderr);
+    let sampled = sampled.json();
+    let drawn = &sampled["scenarios"][0]["policies"][5];
+    assert_eq!(drawn["policy"], json!(format!("{}, sampled", published())));
+    assert_ne!(drawn["metrics"], sampled["scenarios"][0]["policies"][4]["metrics"], "it acts otherwise");
+    call(&["--pictures", "/dev/null/pictures"]).assert_refused(&["/dev/null/pictures", "--pictures"]);
+
     let page = call(&[]);
     assert!(page.stderr.contains("5 of 5 episodes are in"), "{}", page.stderr);
     for part in ["# Results", "zero-shot", "## town", "## Who is ahead", "--seeds 1`"] {

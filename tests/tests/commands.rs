@@ -46,7 +46,7 @@ fn scenarios_are_listed_and_described() {
 }
 
 #[test]
-fn checkpoints_are_listed_shown_exported_and_evaluated() {
+fn checkpoints_are_listed_shown_exported_published_and_evaluated() {
     let run = Run::new();
     let _ = run.finish(&["--updates", "2", "--actors", "1", "--eval-seeds", "0"]).json();
     let path = run.path().display().to_string();
@@ -71,6 +71,25 @@ fn checkpoints_are_listed_shown_exported_and_evaluated() {
     assert_eq!(metrics(&file), metrics(&path), "the exported policy is the checkpoint's");
 
     run.call(&["checkpoint", "show", "000999", "--run", &path]).assert_refused(&["000999"]);
+
+    // What is published has a description, and is a policy.
+    let folder = run.path().join("published").display().to_string();
+    let publish = |last: &str| {
+        run.call(&["checkpoint", "publish", "--last", last, "--out", &folder, "--run", &path, "--json"])
+    };
+    assert_eq!(publish("1").json()["averaged"], serde_json::json!([]));
+    assert_eq!(metrics(&folder), metrics(&path), "the newest alone is as it was");
+    let both = publish("2").json();
+    assert_eq!(both["averaged"], serde_json::json!([checkpoints[1]["id"], checkpoints[0]["id"]]));
+    assert_eq!(both["id"], checkpoints[0]["id"]);
+    let metadata = std::fs::read(std::path::Path::new(&folder).join("metadata.json")).unwrap();
+    let metadata: serde_json::Value = serde_json::from_slice(&metadata).unwrap();
+    assert_eq!(metadata["files"].as_object().unwrap().keys().collect::<Vec<_>>(), ["model.safetensors"]);
+    assert!(metrics(&folder).is_object(), "the mean is a policy");
+    let checkpoint = checkpoints[0]["path"].as_str().unwrap();
+    let over = ["checkpoint", "publish", "--out", checkpoint, "--run", &path];
+    run.call(&over).assert_refused(&[checkpoint, "--out"]);
+    publish("99").assert_refused(&["99", "--last", "keep_checkpoints"]);
 }
 
 #[test]

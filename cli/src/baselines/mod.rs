@@ -4,12 +4,14 @@
 //! ```text
 //!   plan: scenarios, rules, seeds ── store: what is there already ── run: the rest, the longest first ──> store
 //!   store ── report: means over seeds, agreement ─┬─ page: docs/baselines.md
-//!                                                 └─ results: docs/results.md
+//!                                                 ├─ results: docs/results.md
+//!                                                 └─ pictures: docs/images/results
 //! ```
 
 pub(crate) mod agreement;
 mod markdown;
 pub(crate) mod page;
+pub(crate) mod pictures;
 pub(crate) mod plan;
 pub(crate) mod progress;
 pub(crate) mod reference;

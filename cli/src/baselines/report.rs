@@ -13,6 +13,7 @@ use cross_sim::metrics::Metric;
 use cross_sim::scenario::SumoOptions;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 /// Share of all vehicles by which variants may differ in how many they leave outside and still be ranked by trip delay.
 const OUTSIDE_APART: f64 = 0.01;
@@ -28,6 +29,9 @@ pub(crate) struct Report {
     pub(crate) env: EnvConfig,
     pub(crate) scenarios: Vec<ScenarioReport>,
     pub(crate) missing: Vec<Missing>,
+    /// Where the scenarios' pictures are, as the page refers to it, if there are any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) pictures: Option<PathBuf>,
 }
 
 /// All rules on a scenario.
@@ -101,6 +105,7 @@ impl Report {
             env: plan.env.clone(),
             scenarios: scenarios.collect::<Outcome<_>>()?,
             missing: plan.missing.clone(),
+            pictures: None,
         })
     }
 }
@@ -262,6 +267,7 @@ pub(super) mod tests {
             env: EnvConfig::default(),
             scenarios: scenarios.collect(),
             missing: vec![Missing { scenario: "jinan1".to_owned(), reason: "get it".to_owned() }],
+            pictures: None,
         }
     }
 

@@ -2,6 +2,7 @@
 
 use super::markdown::{code, heading, line, row};
 use super::page::{figure, header, marked, others, protocol, published};
+use super::pictures;
 use super::report::{PolicyReport, Report, ScenarioReport};
 use crate::paper;
 use cross_sim::controller::RuleBased;
@@ -21,6 +22,7 @@ pub(crate) fn render(report: &Report) -> String {
     protocol(&mut page, report);
     for scenario in &report.scenarios {
         table(&mut page, scenario);
+        picture(&mut page, report, scenario);
     }
     page
 }
@@ -152,6 +154,16 @@ fn table(page: &mut String, scenario: &ScenarioReport) {
     others(page, scenario);
 }
 
+/// The scenario's picture, if there are pictures.
+fn picture(page: &mut String, report: &Report, scenario: &ScenarioReport) {
+    if let Some(folder) = &report.pictures {
+        let file = folder.join(pictures::file_name(&scenario.scenario)).display().to_string();
+        let name = heading(&scenario.scenario);
+        // In angle brackets a path may hold blanks.
+        line(page, &format!("\n![{name}: queue and speed over time, experts and clusters](<{file}>)"));
+    }
+}
+
 /// Vehicles that found no room to enter, here and under the strongest Max-Pressure: trip time and delay leave them out.
 fn outside(scenario: &ScenarioReport, policy: &PolicyReport) -> String {
     let count = |policy: &PolicyReport| {
@@ -249,6 +261,16 @@ mod tests {
         );
         assert_eq!(own.len(), 1, "{page}");
         assert_eq!(lines(&page, "| **`pretrained/one`**, weights `0123456789ab` | 2.000").len(), 2, "{page}");
+    }
+
+    #[test]
+    fn pictures_are_shown_where_there_are_some() {
+        let mut report = report(&["grid4x4", "my/own"], &[RuleBased::FixedTime]);
+        assert!(!render(&report).contains("!["));
+        report.pictures = Some("images/results".into());
+        let page = render(&report);
+        assert_eq!(lines(&page, "](<images/results/grid4x4.svg>)").len(), 1, "{page}");
+        assert_eq!(lines(&page, "](<images/results/my_own.svg>)").len(), 1, "{page}");
     }
 
     #[test]

@@ -4,6 +4,7 @@ use super::plan::{Job, Plan};
 use super::progress::Progress;
 use super::store::Store;
 use crate::failure::{Failure, Outcome};
+use crate::routing::{EpisodeRouting, RoutingLog};
 use crate::train::progress::say;
 use crate::train::watch::Watch;
 use cross_sim::controller::ControllerError;
@@ -102,7 +103,7 @@ impl Work<'_> {
             let kept = self
                 .episode(number, job)
                 .map_err(Failure::from)
-                .and_then(|report| self.store.save(&self.plan.made(job), &report));
+                .and_then(|(report, routing)| self.store.save(&self.plan.made(job), report, &routing));
             match kept {
                 Ok(()) => {
                     self.finished.fetch_add(1, Ordering::Relaxed);
@@ -115,16 +116,21 @@ impl Work<'_> {
         }
     }
 
-    fn episode(&self, number: usize, job: &Job<'_>) -> Result<EvalReport, EvaluateError> {
+    fn episode(&self, number: usize, job: &Job<'_>) -> Result<(EvalReport, EpisodeRouting), EvaluateError> {
         let scenario = &job.subject.scenario;
-        let setting = Setting::new(self.home, scenario, self.plan.env(job.policy));
-        let make =
-            || job.policy.controller(scenario).map_err(|error| ControllerError::from(error.to_string()));
+        let setting =
+            Setting { details: true, ..Setting::new(self.home, scenario, self.plan.env(job.policy)) };
+        let log = RoutingLog::default();
+        let make = || {
+            let controller = job.policy.logged(scenario, Some(log.clone()));
+            controller.map_err(|error| ControllerError::from(error.to_string()))
+        };
         let step = |at: SeedProgress| {
             self.progress.step(number, job.weight() * f64::from(at.step) / f64::from(at.steps.max(1)));
             if self.stop_wanted() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
-        evaluate_seeds(&setting, job.policy.name(), &make, &[job.seed], 1, &step)
+        let report = evaluate_seeds(&setting, job.policy.name(), &make, &[job.seed], 1, &step)?;
+        Ok((report, log.shares()))
     }
 
     /// Whether somebody has asked to stop; the request itself is seen by one worker only.

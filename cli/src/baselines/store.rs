@@ -6,10 +6,11 @@
 use crate::failure::{Failure, Outcome};
 use crate::output_file::OutputFile;
 use crate::policy::PolicySpec;
+use crate::routing::EpisodeRouting;
 use crate::train::run_dir::write_atomically;
 use anyhow::Context;
 use cross_config::EnvConfig;
-use cross_sim::evaluate::EvalReport;
+use cross_sim::evaluate::{EvalReport, Series};
 use cross_sim::metrics::{MeanStd, Metric};
 use cross_sim::scenario::{Scenario, SumoOptions};
 use serde::{Deserialize, Serialize};
@@ -73,11 +74,23 @@ pub(crate) struct Episode {
     pub(crate) gridlock: bool,
 }
 
+/// How an episode went, for a picture of it.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub(crate) struct Course {
+    /// Queue and speed over time.
+    pub(crate) series: Series,
+    /// Experts and clusters; a rule has none.
+    pub(crate) routing: EpisodeRouting,
+}
+
 #[derive(Deserialize)]
 struct Stored {
     made: Made,
     /// As `cross eval --json` has it, so that `cross report` reads the folder.
     evaluation: [Evaluation; 1],
+    /// Not in what this program once wrote.
+    #[serde(flatten)]
+    course: Option<Course>,
 }
 
 #[derive(Deserialize)]
@@ -89,11 +102,13 @@ struct Evaluation {
 #[derive(Debug)]
 pub(crate) struct Store {
     folder: PathBuf,
+    /// Whether only those episodes count of which is known how they went.
+    with_courses: bool,
 }
 
 impl Store {
     pub(crate) fn new(folder: PathBuf) -> Self {
-        Self { folder }
+        Self { folder, with_courses: false }
     }
 
     /// The store in a folder, which is made if it is not there and has to be one that can be written to.
@@ -108,6 +123,11 @@ impl Store {
         Ok(Self::new(folder.to_owned()))
     }
 
+    /// The same store for whoever draws: an episode of which is not known how it went counts as not there.
+    pub(crate) fn with_courses(self) -> Self {
+        Self { with_courses: true, ..self }
+    }
+
     /// The folder's path.
     pub(crate) fn folder(&self) -> &Path {
         &self.folder
@@ -117,16 +137,35 @@ impl Store {
     ///
     /// A file that cannot be read counts as not there: the episode is simulated again and the file replaced.
     pub(crate) fn load(&self, made: &Made) -> Option<Episode> {
-        let text = std::fs::read(self.path(made)).ok()?;
-        let Stored { made: found, evaluation: [Evaluation { per_seed: [episode] }] } =
-            serde_json::from_slice(&text).ok()?;
-        let complete = Metric::ALL.iter().all(|metric| episode.metrics.contains_key(metric.key()));
-        (found == *made && complete).then_some(episode)
+        let Stored { evaluation: [Evaluation { per_seed: [episode] }], .. } = self.read(made)?;
+        Some(episode)
     }
 
-    /// Keeps the report of a single episode.
-    pub(crate) fn save(&self, made: &Made, report: &EvalReport) -> Outcome<()> {
-        self.write(made, &serde_json::json!({ "made": made, "evaluation": [report] }))
+    /// How the episode went that was made exactly so, if [`Store::load`] would find it.
+    pub(crate) fn course(&self, made: &Made) -> Option<Course> {
+        self.read(made)?.course
+    }
+
+    fn read(&self, made: &Made) -> Option<Stored> {
+        let text = std::fs::read(self.path(made)).ok()?;
+        let stored: Stored = serde_json::from_slice(&text).ok()?;
+        let [Evaluation { per_seed: [episode] }] = &stored.evaluation;
+        let complete = Metric::ALL.iter().all(|metric| episode.metrics.contains_key(metric.key()))
+            && (stored.course.is_some() || !self.with_courses);
+        (stored.made == *made && complete).then_some(stored)
+    }
+
+    /// Keeps the report of a single episode, and of its details the curves: every trip would be most of the folder.
+    pub(crate) fn save(&self, made: &Made, mut report: EvalReport, routing: &EpisodeRouting) -> Outcome<()> {
+        let details = report.details.take().into_iter();
+        let series = details.flat_map(|details| details.seeds).map(|seed| seed.series).next();
+        let series = series.ok_or_else(|| {
+            Failure::failed("an evaluation that was asked for curves has none; this is a defect of cross")
+        })?;
+        let document = serde_json::json!({
+            "made": made, "evaluation": [report], "series": series, "routing": routing,
+        });
+        self.write(made, &document)
     }
 
     fn write(&self, made: &Made, document: &Value) -> Outcome<()> {
@@ -148,7 +187,7 @@ impl Store {
 }
 
 /// A name as a folder's: whatever a user calls a scenario, it stays inside the store.
-fn plain(name: &str) -> String {
+pub(super) fn plain(name: &str) -> String {
     let letter =
         |letter: char| if letter.is_ascii_alphanumeric() || "-_".contains(letter) { letter } else { '_' };
     name.chars().map(letter).collect()
@@ -186,10 +225,27 @@ pub(super) mod tests {
         }
     }
 
+    /// How the episode of a learned policy with two experts went.
+    pub(in crate::baselines) fn course() -> Course {
+        let shares = |shares: [f64; 2]| crate::routing::Shares {
+            over_time: vec![shares.to_vec(); 2],
+            by_agent: vec![shares.to_vec(); 3],
+        };
+        Course {
+            series: Series {
+                interval_seconds: 10,
+                queue_length: vec![0.5, 1.5, 1.0],
+                speed: vec![9.0, 8.0, 7.0],
+                ..Series::default()
+            },
+            routing: EpisodeRouting { experts: shares([0.25, 0.75]), clusters: shares([0.5, 0.5]) },
+        }
+    }
+
     fn document(made: &Made, episode: &Episode) -> Value {
         serde_json::json!({ "made": made, "evaluation": [{ "whatever": [1, 2], "per_seed": [{
             "seed": episode.seed, "metrics": episode.metrics, "vehicles": episode.vehicles, "gridlock": episode.gridlock,
-        }]}]})
+        }]}], "series": course().series, "routing": course().routing })
     }
 
     #[test]
@@ -201,6 +257,7 @@ pub(super) mod tests {
         let episode = episode(3, 2.0);
         store.write(&made, &document(&made, &episode)).unwrap();
         assert_eq!(store.load(&made), Some(episode));
+        assert_eq!(store.course(&made), Some(course()));
         for other in [
             Made { seed: 4, ..made.clone() },
             Made { generation: GENERATION + 1, ..made.clone() },
@@ -226,5 +283,11 @@ pub(super) mod tests {
         assert_eq!(store.load(&made), None);
         std::fs::write(store.path(&made), "{\"made\":").unwrap();
         assert_eq!(store.load(&made), None);
+        // As this program once wrote them: enough for a table, not for a picture.
+        let mut without = document(&made, &episode(1, 2.0));
+        without.as_object_mut().unwrap().remove("series");
+        store.write(&made, &without).unwrap();
+        assert_eq!((store.load(&made), store.course(&made)), (Some(episode(1, 2.0)), None));
+        assert_eq!(store.with_courses().load(&made), None);
     }
 }

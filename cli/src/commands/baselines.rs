@@ -1,10 +1,10 @@
 //! `cross baselines`: the table of rules, beside the paper's figures.
 
-use crate::baselines::page;
 use crate::baselines::plan::Plan;
 use crate::baselines::report::Report;
 use crate::baselines::run::{End, complete};
 use crate::baselines::store::Store;
+use crate::baselines::{page, pictures};
 use crate::evaluate::default_workers;
 use crate::failure::{Failure, OrBadInput, Outcome};
 use crate::output;
@@ -12,10 +12,11 @@ use crate::output_file::OutputFile;
 use crate::policy::PolicySpec;
 use crate::sumo::SumoOption;
 use crate::train::progress::say;
+use anyhow::Context;
 use clap::Args;
 use cross_config::EnvConfig;
 use cross_sim::controller::RuleBased;
-use std::path::PathBuf;
+use std::path::{Component, Path, PathBuf};
 use std::process::ExitCode;
 
 /// Evaluates the rules on the paper's scenarios, beside its figures and an independent measurement
@@ -49,7 +50,7 @@ impl Baselines {
         let mut words = vec!["cross baselines".to_owned()];
         words.extend(self.policies.iter().map(|policy| format!("--policy {policy}")));
         words.extend(self.seeds.map(|seeds| format!("--seeds {seeds}")));
-        self.table.make(words, &policies, self.seeds, page::render)
+        self.table.make(words, &policies, self.seeds, None, page::render)
     }
 }
 
@@ -82,6 +83,7 @@ impl Table {
         mut words: Vec<String>,
         policies: &[PolicySpec],
         seeds: Option<u32>,
+        picture_folder: Option<&Path>,
         render: fn(&Report) -> String,
     ) -> Outcome<ExitCode> {
         // Before an hour of work.
@@ -92,7 +94,13 @@ impl Table {
         for missing in &plan.missing {
             say(&format!("without {}: {}", missing.scenario, missing.reason));
         }
-        let store = Store::open(&self.out)?;
+        if let Some(folder) = picture_folder {
+            pictures::prepare(&plan, folder)?;
+        }
+        let mut store = Store::open(&self.out)?;
+        if picture_folder.is_some() {
+            store = store.with_courses();
+        }
         let workers = self.workers.map_or_else(default_workers, usize::from);
         if let End::Stopped { left } = complete(&plan, &store, &home, workers)? {
             return Err(Failure::failed(format!(
@@ -102,7 +110,11 @@ impl Table {
             )));
         }
         words.splice(1..1, self.scenarios.iter().map(|scenario| format!("--scenario {}", quoted(scenario))));
-        let report = Report::read(&plan, &store, words.join(" "))?;
+        let mut report = Report::read(&plan, &store, words.join(" "))?;
+        if let Some(folder) = picture_folder {
+            pictures::draw(&plan, &store, &report.scenarios, folder)?;
+            report.pictures = Some(from_page(folder, self.markdown.as_deref())?);
+        }
         let page = render(&report);
         if let Some(file) = &markdown {
             file.write(page.as_bytes())?;
@@ -120,6 +132,22 @@ impl Table {
     }
 }
 
+/// A folder, which is there, as a page refers to it: from where the page is. A page that goes to standard output is where it is
+/// made.
+fn from_page(folder: &Path, page: Option<&Path>) -> Outcome<PathBuf> {
+    let parent = match page.and_then(Path::parent) {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let whole = |path: &Path| {
+        path.canonicalize().with_context(|| format!("cannot find out where {} is", path.display()))
+    };
+    let (folder, parent) = (whole(folder)?, whole(parent)?);
+    let shared = folder.components().zip(parent.components()).take_while(|(a, b)| a == b).count();
+    let up = parent.components().skip(shared).map(|_| Component::ParentDir);
+    Ok(up.chain(folder.components().skip(shared)).collect())
+}
+
 /// A word as a shell takes it: in quotes where it has to be.
 pub(super) fn quoted(word: &str) -> String {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_./=:@%+,".contains(letter);
@@ -132,6 +160,20 @@ pub(super) fn quoted(word: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pictures_are_found_from_the_page() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path().join("docs/images");
+        std::fs::create_dir_all(&folder).unwrap();
+        let from = |page: &str| from_page(&folder, Some(&root.path().join(page))).unwrap();
+        assert_eq!(from("docs/results.md"), Path::new("images"));
+        assert_eq!(from("./docs/../docs/results.md"), Path::new("images"));
+        assert_eq!(from("results.md"), Path::new("docs/images"));
+        assert_eq!(from("docs/images/results.md"), Path::new(""));
+        std::fs::create_dir(root.path().join("pages")).unwrap();
+        assert_eq!(from("pages/results.md"), Path::new("../docs/images"));
+    }
 
     #[test]
     fn odd_words_are_quoted_for_the_shell() {

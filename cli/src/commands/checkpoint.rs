@@ -1,5 +1,6 @@
 //! `cross checkpoint`: what a run has saved.
 
+use super::publish::publish;
 use crate::failure::{Failure, OrBadInput, Outcome};
 use crate::output;
 use crate::saved::{Chosen, Saved};
@@ -11,7 +12,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Lists, shows, exports and verifies the checkpoints of a run
+/// Lists, shows, exports, publishes and verifies the checkpoints of a run
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -19,6 +20,7 @@ Examples:
   cross checkpoint list --run runs/paper-3 --json
   cross checkpoint show latest
   cross checkpoint export latest --out policy.safetensors
+  cross checkpoint publish --last 5 --out my/policy    the mean of the five newest, with its description
   cross checkpoint verify 000100 --run runs/paper-3
   cross checkpoint list --run s3://bucket/paper-3      copies in an object store
 
@@ -51,6 +53,19 @@ enum Command {
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
     },
+    /// Writes a policy to give away: weights and description, without what only training needs
+    ///
+    /// The weights may be the mean of several checkpoints'. Where traffic is chaotic, neighbouring checkpoints control it
+    /// differently well, and a mean is less a matter of luck.
+    /// What is written is taken by every --policy.
+    Publish {
+        /// Average the newest N checkpoints
+        #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+        last: u16,
+        /// Folder to write `model.safetensors` and `metadata.json` into; older ones there are replaced
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+    },
     /// Compares one's files with their recorded sizes and hashes, and loads its networks
     Verify {
         /// Number, `latest`, path or URL
@@ -64,6 +79,7 @@ impl Checkpoint {
             Command::List => self.list()?,
             Command::Show { id } => self.show(&self.find(id)?)?,
             Command::Export { id, out } => self.export(&self.find(id)?, out)?,
+            Command::Publish { last, out } => self.publish(*last, out)?,
             Command::Verify { id } => self.verify(&self.find(id)?)?,
         }
         Ok(ExitCode::SUCCESS)
@@ -184,6 +200,20 @@ impl Checkpoint {
         output::text(&format!("wrote the policy of checkpoint {} to {}", metadata.id, out.display()))
     }
 
+    fn publish(&self, last: u16, out: &Path) -> Outcome<()> {
+        let metadata = publish(&self.saved()?, usize::from(last), out)?;
+        if self.json {
+            return output::json(&serde_json::json!({
+                "id": metadata.id, "averaged": metadata.averaged, "out": out, "policy_version": metadata.policy_version
+            }));
+        }
+        let weights = match metadata.averaged.as_slice() {
+            [] => format!("the policy of checkpoint {}", metadata.id),
+            averaged => format!("the mean of checkpoints {}", averaged.join(", ")),
+        };
+        output::text(&format!("wrote {weights} to {}", out.display()))
+    }
+
     fn verify(&self, chosen: &Chosen) -> Outcome<()> {
         let path = &chosen.path();
         let checkpoint = chosen.verify()?;
@@ -216,6 +246,9 @@ fn render(path: &Path, metadata: &Metadata) -> String {
         ("libtorch", metadata.versions.libtorch.clone()),
     ] {
         let _ = writeln!(text, "  {label:15} {value}");
+    }
+    if !metadata.averaged.is_empty() {
+        let _ = writeln!(text, "  {:15} {}", "mean of", metadata.averaged.join(", "));
     }
     for (scenario, value) in &metadata.episode_return {
         let _ = writeln!(text, "  return {scenario}: {value:.2}");

@@ -34,6 +34,11 @@ pub(crate) struct Eval {
     /// Rule or program by name, or a checkpoint: its directory, a run directory, a model.safetensors, or the URL of one
     #[arg(long, value_name = "POLICY")]
     policy: String,
+    /// Draw each phase of a checkpoint by its probability, as in training, instead of taking the most probable one
+    ///
+    /// The draws depend on SUMO's seed, so that an episode repeats itself.
+    #[arg(long)]
+    sampled: bool,
     /// SUMO seeds 1 to N
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
@@ -65,6 +70,7 @@ pub(crate) struct Eval {
 impl Eval {
     pub(crate) fn run(&self) -> Outcome<ExitCode> {
         let policy = PolicySpec::parse(&self.policy)?;
+        let policy = if self.sampled { policy.sampled()? } else { policy };
         let mut env = self.env(&policy)?;
         let mut scenario = Scenario::load(&self.scenario).or_bad_input()?;
         if let Some(preset) = self.protocol {

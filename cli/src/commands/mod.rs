@@ -5,6 +5,7 @@ pub(crate) mod bench;
 pub(crate) mod checkpoint;
 pub(crate) mod doctor;
 pub(crate) mod eval;
+mod publish;
 pub(crate) mod report;
 pub(crate) mod results;
 pub(crate) mod scenario;

@@ -7,6 +7,7 @@ use crate::policy::PolicySpec;
 use crate::train::progress::say;
 use clap::Args;
 use cross_sim::controller::RuleBased;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Evaluates learned policies on the paper's scenarios, beside the rules and the figures that the paper prints
@@ -17,7 +18,7 @@ use std::process::ExitCode;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  cross results --markdown docs/results.md                     the published policies on all eight
+  cross results --sampled --markdown docs/results.md --pictures docs/images/results      the published policy on all eight
   cross results --policy runs/20260131-235959 --scenario grid4x4 --scenario cologne8
   cross results --policy pretrained/default --seeds 1 --json
 
@@ -27,9 +28,15 @@ pub(crate) struct Results {
     /// Weights: a checkpoint, a run directory or a policy file; repeat it for several
     #[arg(long = "policy", value_name = "POLICY", default_value = "pretrained/default")]
     policies: Vec<String>,
+    /// Show each policy a second time, with phases drawn by their probabilities, as in training
+    #[arg(long)]
+    sampled: bool,
     /// SUMO seeds 1 to N
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     seeds: u32,
+    /// Draw queue and speed over time, and the experts and clusters of each policy, into this folder; one SVG file a scenario
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
     #[command(flatten)]
     table: Table,
 }
@@ -48,11 +55,20 @@ impl Results {
             if policies.iter().any(|other| other.key() == learned.key()) {
                 say(&format!("{policy} has the weights of another one that was named, and appears once"));
             }
-            policies.push(learned);
+            policies.push(learned.clone());
+            if self.sampled {
+                policies.push(learned.sampled()?);
+            }
         }
         let mut words = vec!["cross results".to_owned()];
         words.extend(self.policies.iter().map(|policy| format!("--policy {}", quoted(policy))));
+        if self.sampled {
+            words.push("--sampled".to_owned());
+        }
         words.push(format!("--seeds {}", self.seeds));
-        self.table.make(words, &policies, Some(self.seeds), results::render)
+        words.extend(
+            self.pictures.iter().map(|folder| format!("--pictures {}", quoted(&folder.to_string_lossy()))),
+        );
+        self.table.make(words, &policies, Some(self.seeds), self.pictures.as_deref(), results::render)
     }
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 const WIDTH: u32 = 900;
 const PANEL_HEIGHT: u32 = 300;
 /// Colours that stay apart for colour-blind readers (Okabe and Ito), most used first.
-const COLOURS: [RGBColor; 7] = [
+pub(crate) const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),

@@ -9,7 +9,7 @@
 
 mod backoff;
 pub(crate) mod closing;
-mod curves;
+pub(crate) mod curves;
 pub(crate) mod preflight;
 pub(crate) mod progress;
 pub(crate) mod run;
