@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 const WIDTH: u32 = 1100;
 const PANEL_HEIGHT: u32 = 280;
 /// Axes that are so much longer than the values leave room for a legend.
-const LEGEND_ROOM_ABOVE: f64 = 1.5;
+const LEGEND_ROOM_ABOVE: f64 = 1.8;
 const LEGEND_ROOM_BESIDE: f64 = 1.14;
 /// Seconds of a point.
 const POINT_SECONDS: usize = 60;
