@@ -11,15 +11,19 @@ use cross_model::{ActMode, Policy};
 use cross_sim::trajectory::Observation;
 use fixture::{Fixture, flat};
 
+/// The fixture's weights, ready to act.
+fn policy(fixture: &Fixture) -> Policy {
+    let config = &fixture.config;
+    let metadata = PolicyMetadata { policy_version: 1, env: config.env.clone(), model: config.model.clone() };
+    let bytes = snapshot::write_policy(&fixture.actor, &fixture.critic, &metadata).unwrap();
+    Policy::from_snapshot(&bytes).unwrap()
+}
+
 #[test]
 fn fragments_are_acted_as_the_reference_does() {
     for name in ["paper", "movement", "movement_without_pcc", "movement_without_moe"] {
         let fixture = Fixture::load(name);
-        let config = &fixture.config;
-        let metadata =
-            PolicyMetadata { policy_version: 1, env: config.env.clone(), model: config.model.clone() };
-        let bytes = snapshot::write_policy(&fixture.actor, &fixture.critic, &metadata).unwrap();
-        let mut policy = Policy::from_snapshot(&bytes).unwrap();
+        let mut policy = policy(&fixture);
         let mut own = Vec::new();
         for fragment in &fixture.fragments {
             let layout =
@@ -61,10 +65,7 @@ fn fragments_are_acted_as_the_reference_does() {
 #[test]
 fn a_state_of_another_network_is_refused() {
     let fixture = Fixture::load("movement");
-    let config = &fixture.config;
-    let metadata = PolicyMetadata { policy_version: 1, env: config.env.clone(), model: config.model.clone() };
-    let bytes = snapshot::write_policy(&fixture.actor, &fixture.critic, &metadata).unwrap();
-    let mut policy = Policy::from_snapshot(&bytes).unwrap();
+    let mut policy = policy(&fixture);
     policy.begin_episode(&fixture.layouts[0].1).unwrap();
     let before = policy.recurrent_state();
     let mut short = before.clone();
@@ -92,10 +93,7 @@ fn experts_and_clusters_of_a_decision_are_the_reference_s() {
     ] {
         let fixture = Fixture::load(name);
         let config = &fixture.config;
-        let metadata =
-            PolicyMetadata { policy_version: 1, env: config.env.clone(), model: config.model.clone() };
-        let bytes = snapshot::write_policy(&fixture.actor, &fixture.critic, &metadata).unwrap();
-        let mut policy = Policy::from_snapshot(&bytes).unwrap();
+        let mut policy = policy(&fixture);
         let (experts, clusters) = (config.model.experts as usize, config.model.clusters as usize);
         let rows = |key: &str| fixture.tensors.get(key).map(flat).unwrap_or_default();
         let (alpha, assignment) = (rows("forward/actor/alpha"), rows("forward/actor/w"));
