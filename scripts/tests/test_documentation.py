@@ -12,7 +12,8 @@ class Documentation(unittest.TestCase):
     def test_links_lead_to_files_and_headings_that_exist(self):
         broken = []
         for page in PAGES:
-            for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+            for bracketed, plain in re.findall(r"\]\((?:<([^>\n]+)>|([^)\s<]+))\)", page.read_text(encoding="utf-8")):
+                target = bracketed or plain
                 if re.match(r"[a-z]+:", target):
                     continue
                 name, _, heading = target.partition("#")
