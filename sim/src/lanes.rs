@@ -47,19 +47,24 @@ impl LaneCounts {
         self.total_near - self.stopped_near
     }
 
-    fn add(&mut self, distance_to_end: f64, stopped: bool, reward_range: f64) {
-        // A lane never holds 65,535 vehicles; if SUMO ever said so, the count stays at the end of its range.
-        fn bump(count: &mut u16, condition: bool) {
-            *count = count.saturating_add(u16::from(condition));
-        }
-        let near = distance_to_end <= NEAR_METRES;
+    fn add_somewhere(&mut self, stopped: bool) {
         bump(&mut self.total, true);
         bump(&mut self.stopped, stopped);
+    }
+
+    fn add(&mut self, distance_to_end: f64, stopped: bool, reward_range: f64) {
+        self.add_somewhere(stopped);
+        let near = distance_to_end <= NEAR_METRES;
         bump(&mut self.total_near, near);
         bump(&mut self.stopped_near, near && stopped);
         bump(&mut self.moving_middle, !stopped && distance_to_end <= MIDDLE_METRES);
         bump(&mut self.stopped_in_reward_range, stopped && distance_to_end <= reward_range);
     }
+}
+
+/// A lane never holds 65,535 vehicles; if SUMO ever said so, the count stays at the end of its range.
+fn bump(count: &mut u16, condition: bool) {
+    *count = count.saturating_add(u16::from(condition));
 }
 
 /// Which slot of a [`LaneTable`] belongs to which lane, and to which row of which agent.
@@ -129,6 +134,14 @@ impl LaneTable {
             let slot = slot as usize;
             let distance_to_end = self.index.lengths[slot] - position;
             self.counts[slot].add(distance_to_end, speed < STOPPED_SPEED, self.reward_range);
+        }
+    }
+
+    /// Counts one vehicle of which only the lane is known, so that it is in [`LaneCounts::total`] and, if it is stopped, in
+    /// [`LaneCounts::stopped`], but in no count of a part of the lane.
+    pub fn add_somewhere(&mut self, lane: &str, speed: f64) {
+        if let Some(&slot) = self.index.slot_of_id.get(lane) {
+            self.counts[slot as usize].add_somewhere(speed < STOPPED_SPEED);
         }
     }
 

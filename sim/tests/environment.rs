@@ -95,6 +95,39 @@ fn watching_every_second_changes_nothing() {
 }
 
 #[test]
+fn a_second_that_is_watched_is_the_second_of_an_environment_that_decides_then() {
+    let under_program = |decision_seconds| {
+        let mut env = env_with("grid4x4", |options| {
+            options.signals = Signals::Program(SumoProgram::Own);
+            options.config.decision_seconds = decision_seconds;
+            options.config.yellow_seconds = 0;
+        });
+        env.reset(5).unwrap();
+        env
+    };
+    let (mut by_second, mut watched) = (under_program(1), under_program(10));
+    let (mut stopped, mut in_parts) = (0, 0);
+    for decision in 1..=40 {
+        watched
+            .step_observed(&[], &mut |view: &SecondView<'_>| {
+                by_second.step(&[]).unwrap();
+                assert_eq!(view.time, by_second.time());
+                for (seen, there) in view.lanes.rows().zip(by_second.lanes().rows()) {
+                    if view.time == f64::from(10 * decision) {
+                        assert_eq!(seen, there);
+                        in_parts += u32::from(seen.total_near);
+                    } else {
+                        assert_eq!((seen.stopped, seen.total), (there.stopped, there.total));
+                        stopped += u32::from(seen.stopped);
+                    }
+                }
+            })
+            .unwrap();
+    }
+    assert!(stopped > 100 && in_parts > 100, "{stopped} stopped, {in_parts} near");
+}
+
+#[test]
 fn watching_may_begin_and_end_within_an_episode() {
     let mut env = env("cologne1");
     let apart = episode(&mut env, 5, None);

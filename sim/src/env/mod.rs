@@ -38,6 +38,7 @@ use programs::ProgramFile;
 use simulation::{Second, Simulation};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use vehicles::Look;
 
 /// Where an environment's time went, over all its episodes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -263,9 +264,13 @@ impl Env {
     ) -> Result<Step<'_>, SimError> {
         let mut simulation = self.take_simulation()?;
         let begun = Instant::now();
+        // What the agents see and are rewarded for is of the last second.
+        let mut left = self.options.config.decision_seconds;
         let mut watch = |simulation: &mut Simulation, lanes: &mut LaneTable, seconds| {
             for _ in 0..seconds {
-                if let Some(second) = simulation.watch(lanes)? {
+                left = left.saturating_sub(1);
+                let look = if left == 0 { Look::Positions } else { Look::Lanes };
+                if let Some(second) = simulation.watch(look, lanes)? {
                     observer.second(&view(second, lanes));
                 }
             }

@@ -7,7 +7,9 @@ use crate::lanes::LaneTable;
 pub struct SecondView<'a> {
     /// Simulated time, seconds; an episode's first view is one second after its beginning.
     pub time: f64,
-    /// Vehicles on the lanes of the layout.
+    /// Vehicles on the lanes of the layout. In the second that a decision ends with all counts are there; in the others
+    /// SUMO is not asked where on its lane a vehicle is, and only [`stopped`](crate::lanes::LaneCounts::stopped) and
+    /// [`total`](crate::lanes::LaneCounts::total) count.
     pub lanes: &'a LaneTable,
     /// Vehicles in the network, on any lane.
     pub running: u32,

@@ -14,7 +14,7 @@
 
 use super::EnvOptions;
 use super::arguments::arguments;
-use super::vehicles::{Traffic, Vehicles, saturating, unreadable};
+use super::vehicles::{Look, Traffic, Vehicles, saturating, unreadable};
 use crate::lanes::LaneTable;
 use crate::scenario::Scenario;
 use cross_traci::constants::{Domain, simulation, traffic_light};
@@ -45,8 +45,8 @@ pub(super) struct Simulation {
     loads: u32,
     /// SUMO was asked who is there, the answer not being there yet.
     asked_who: bool,
-    /// The watched second whose vehicles SUMO was asked for, the answer not being there yet.
-    asked: Option<(f64, Events)>,
+    /// The watched second whose vehicles SUMO was asked for, and how closely, the answer not being there yet.
+    asked: Option<(f64, Events, Look)>,
     /// Time spent waiting for SUMO to simulate, as far as it was told.
     stepping: Duration,
 }
@@ -190,12 +190,12 @@ impl Simulation {
             client.take()?;
         }
         self.vehicles.are(client.take()?.value(0)?.strings().map_err(unreadable)?);
-        self.vehicles.ask(client)?;
-        self.vehicles.count(client.take()?, lanes)
+        self.vehicles.ask(client, Look::Positions)?;
+        self.vehicles.count(Look::Positions, client.take()?, lanes)
     }
 
     /// Has one watched second pass, and gives the one before it if it was not given yet, its vehicles counted into a table.
-    pub(super) fn watch(&mut self, lanes: &mut LaneTable) -> Result<Option<Second>, TraciError> {
+    pub(super) fn watch(&mut self, look: Look, lanes: &mut LaneTable) -> Result<Option<Second>, TraciError> {
         self.run(1)?;
         let client = self.sumo.client();
         let mut batch = client.batch();
@@ -213,22 +213,22 @@ impl Simulation {
         let replies = client.take()?;
         let events = events(replies)?;
         self.vehicles.are(replies.value(0)?.strings().map_err(unreadable)?);
-        self.vehicles.ask(client)?;
+        self.vehicles.ask(client, look)?;
         client.flush()?;
-        self.asked = Some((self.time, events));
+        self.asked = Some((self.time, events, look));
         Ok(before)
     }
 
     /// The last second that was [watched](Self::watch) if it was not given yet, its vehicles counted into a table.
     pub(super) fn watched(&mut self, lanes: &mut LaneTable) -> Result<Option<Second>, TraciError> {
-        let Some((time, events)) = self.asked.take() else { return Ok(None) };
+        let Some((time, events, look)) = self.asked.take() else { return Ok(None) };
         let client = self.sumo.client();
         // Nothing was asked where nobody was.
         let traffic = if self.vehicles.len() == 0 {
             lanes.clear();
             Traffic::default()
         } else {
-            self.vehicles.count(client.take()?, lanes)?
+            self.vehicles.count(look, client.take()?, lanes)?
         };
         Ok(Some(Second { time, traffic, events }))
     }

@@ -8,8 +8,25 @@ use crate::lanes::LaneTable;
 use cross_traci::constants::{Domain, any, vehicle};
 use cross_traci::{Batch, Client, DecodeError, Replies, StrList, TraciError};
 
-/// What is read of each vehicle, in this order.
-const WANTED: [u8; 3] = [vehicle::LANE_ID, vehicle::LANE_POSITION, vehicle::SPEED];
+/// How closely SUMO is asked where vehicles are. Answering is most of what a look costs, so that a value that nobody reads
+/// is not asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Look {
+    /// On which lane: enough to count who stands and who is there. For a second between decisions.
+    Lanes,
+    /// Where on it, too: all counts of a lane. For a decision.
+    Positions,
+}
+
+impl Look {
+    /// What is read of each vehicle, in this order.
+    fn wanted(self) -> &'static [u8] {
+        match self {
+            Self::Lanes => &[vehicle::LANE_ID, vehicle::SPEED],
+            Self::Positions => &[vehicle::LANE_ID, vehicle::SPEED, vehicle::LANE_POSITION],
+        }
+    }
+}
 
 /// Vehicles in the network at one moment.
 #[derive(Debug, Clone, Copy, Default)]
@@ -49,11 +66,11 @@ impl Vehicles {
     }
 
     /// Has SUMO asked where each is, without waiting for the answer; nothing is sent if there is none.
-    pub(super) fn ask(&self, client: &mut Client) -> Result<(), TraciError> {
+    pub(super) fn ask(&self, client: &mut Client, look: Look) -> Result<(), TraciError> {
         let mut batch = client.batch();
         let mut start = 0;
         for &end in &self.ends {
-            for variable in WANTED {
+            for &variable in look.wanted() {
                 batch.get(Domain::Vehicle, variable, &self.text[start..end]);
             }
             start = end;
@@ -61,13 +78,22 @@ impl Vehicles {
         batch.post()
     }
 
-    /// Counts the vehicles into a table, which is emptied first. `replies` answer what was [asked](Self::ask) last.
-    pub(super) fn count(&self, replies: Replies<'_>, lanes: &mut LaneTable) -> Result<Traffic, TraciError> {
+    /// Counts the vehicles into a table, which is emptied first. `replies` answer what was [asked](Self::ask) last, and with
+    /// this look.
+    pub(super) fn count(
+        &self,
+        look: Look,
+        replies: Replies<'_>,
+        lanes: &mut LaneTable,
+    ) -> Result<Traffic, TraciError> {
         lanes.clear();
         let mut speeds = 0.0;
-        for index in (0..self.len()).map(|vehicle| WANTED.len() * vehicle) {
-            let speed = replies.double(index + 2)?;
-            lanes.add(replies.str(index)?, replies.double(index + 1)?, speed);
+        for index in (0..self.len()).map(|vehicle| look.wanted().len() * vehicle) {
+            let (lane, speed) = (replies.str(index)?, replies.double(index + 1)?);
+            match look {
+                Look::Lanes => lanes.add_somewhere(lane, speed),
+                Look::Positions => lanes.add(lane, replies.double(index + 2)?, speed),
+            }
             speeds += speed;
         }
         let running = self.len();
