@@ -38,6 +38,8 @@ pub struct EnvConfig {
     pub detection: Detection,
     /// Metres before the stop line within which a stopped vehicle counts against the reward (paper: 50).
     pub reward_range_metres: f32,
+    /// What a vehicle that is stopped farther from the stop line than that costs, where one within costs 1 (paper: 0).
+    pub reward_beyond: f32,
     /// Most movements (lane-to-lane links) an intersection may have.
     pub max_movements: usize,
     /// Most green phases an intersection may have.
@@ -52,6 +54,7 @@ impl Default for EnvConfig {
             episode_seconds: 3600,
             detection: Detection::Default,
             reward_range_metres: 50.0,
+            reward_beyond: 0.0,
             max_movements: 36,
             max_phases: 8,
         }
@@ -91,6 +94,7 @@ impl EnvConfig {
             ));
         }
         in_range("env.reward_range_metres", self.reward_range_metres, 1.0, 10_000.0)?;
+        in_range("env.reward_beyond", self.reward_beyond, 0.0, 1.0)?;
         in_range("env.max_movements", self.max_movements, 1, 1024)?;
         in_range("env.max_phases", self.max_phases, 2, 64)
     }

@@ -16,9 +16,13 @@ pub fn observe(lanes: &LaneTable, detection: Detection, out: &mut Vec<u16>) {
     }
 }
 
-/// Writes the reward of each agent: minus the vehicles stopped within the reward's range on its incoming lanes.
-pub fn rewards(lanes: &LaneTable, out: &mut Vec<f32>) {
-    let stopped = |lane: &LaneCounts| f32::from(lane.stopped_in_reward_range);
+/// Writes the reward of each agent: minus the vehicles stopped on its incoming lanes, where one within the reward's range
+/// counts 1 and one farther from the stop line `beyond`.
+pub fn rewards(lanes: &LaneTable, beyond: f32, out: &mut Vec<f32>) {
+    let stopped = |lane: &LaneCounts| {
+        let within = lane.stopped_in_reward_range;
+        f32::from(within) + beyond * f32::from(lane.stopped - within)
+    };
     out.clear();
     out.extend((0..lanes.agents()).map(|agent| -lanes.incoming_of(agent).map(stopped).sum::<f32>()));
 }
@@ -63,17 +67,21 @@ mod tests {
     }
 
     #[test]
-    fn reward_counts_incoming_lanes_within_range_only() {
+    fn reward_counts_incoming_lanes_and_less_beyond_its_range() {
         let mut lanes = table();
         lanes.add("b", 199.0, 0.0);
         lanes.add("b", 160.0, 0.0);
         lanes.add("b", 140.0, 0.0);
         lanes.add("a", 190.0, 3.0);
         let mut out = Vec::new();
-        rewards(&lanes, &mut out);
+        rewards(&lanes, 0.0, &mut out);
         assert_eq!(out, [0.0, -2.0]);
+        rewards(&lanes, 0.25, &mut out);
+        assert_eq!(out, [0.0, -2.25], "one stands beyond 50 m");
+        rewards(&lanes, 1.0, &mut out);
+        assert_eq!(out, [0.0, -3.0], "as if the range were the whole lane");
         lanes.clear();
-        rewards(&lanes, &mut out);
+        rewards(&lanes, 1.0, &mut out);
         assert_eq!(out, [0.0, 0.0]);
     }
 

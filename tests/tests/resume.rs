@@ -25,10 +25,16 @@ fn a_run_stopped_by_ctrl_c_continues_at_the_next_update() {
 
     let wanted = (done + 2).to_string();
     let arguments = ["--resume", "--updates", &wanted, "--actors", "2", "--eval-seeds", "0"];
-    let resumed = run.finish(&arguments).json();
-    assert_eq!(resumed["interrupted"], false);
+    let resumed = run.finish(&arguments);
+    assert!(!resumed.stderr.contains("done already"), "{}", resumed.stderr);
+    assert_eq!(resumed.json()["interrupted"], false);
     let updates: Vec<u64> = run.metrics().iter().map(|line| line["update"].as_u64().unwrap()).collect();
     assert_eq!(updates, (1..=done + 2).collect::<Vec<_>>(), "no update is lost or repeated");
+
+    let again = run.finish(&arguments);
+    assert!(again.stderr.contains(&format!("all {wanted} updates are done already")), "{}", again.stderr);
+    assert_eq!(again.json()["interrupted"], false);
+    assert_eq!(run.updates(), done + 2);
     assert_none_left(&run.marker());
 }
 

@@ -111,6 +111,16 @@ impl Train {
             self.announce(&config, &ready, &run, actors);
         }
 
+        // Attention, not progress: whoever forgot to ask for more would wait for the same evaluation once more.
+        let done =
+            if self.resume { run.newest_checkpoint().map_or(0, |(_, newest)| newest.updates) } else { 0 };
+        if done >= config.updates {
+            say(&format!(
+                "all {} updates are done already ({done} in the newest checkpoint); --updates with a higher number trains on",
+                config.updates
+            ));
+        }
+
         let watch = Watch::start(security).context("cannot listen for signals")?;
         let plan = Plan {
             actors,

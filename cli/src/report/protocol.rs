@@ -8,7 +8,7 @@ use maud::{Markup, html};
 use serde_json::{Map, Value};
 
 /// Members of a protocol that only learned policies see: rules give the same figures whatever they are.
-const SEEN_BY_LEARNED_ALONE: [&str; 2] = ["detection", "reward_range_metres"];
+const SEEN_BY_LEARNED_ALONE: [&str; 3] = ["detection", "reward_range_metres", "reward_beyond"];
 /// Digits of a hash that are shown; the whole one is in the table of protocols.
 const HASH_DIGITS: usize = 10;
 

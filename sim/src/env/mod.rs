@@ -52,7 +52,8 @@ pub struct Timings {
 /// What a step led to; the observation is [`Env::observation`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step<'a> {
-    /// Reward of each agent `[agents]`: minus the vehicles stopped within the reward's range on its incoming lanes.
+    /// Reward of each agent `[agents]`: minus the vehicles stopped on its incoming lanes, those beyond the reward's range
+    /// weighted.
     pub rewards: &'a [f32],
     /// Whether the episode is over. It was cut off by time then, it has no end of its own.
     pub done: bool,
@@ -363,7 +364,7 @@ impl Env {
         observe::observe(&self.lanes, self.options.config.detection, &mut self.observation.counts);
         self.observation.phases.clear();
         self.observation.phases.extend_from_slice(self.signals.phases());
-        observe::rewards(&self.lanes, &mut self.rewards);
+        observe::rewards(&self.lanes, self.options.config.reward_beyond, &mut self.rewards);
     }
 
     /// Ends SUMO in order, so that its output files are complete; nothing to do if none is running. The environment can

@@ -26,6 +26,9 @@ pub struct Protocol {
     pub detection: Detection,
     /// Metres before the stop line within which a stopped vehicle counts against the reward.
     pub reward_range_metres: f32,
+    /// What a vehicle that is stopped beyond that counts; documents of earlier versions are of 0.
+    #[serde(default)]
+    pub reward_beyond: f32,
     /// Seconds of standing after which SUMO moves a vehicle on; -1 never.
     pub time_to_teleport_seconds: f64,
     /// SUMO's `--default.departspeed`.
@@ -53,6 +56,7 @@ impl Protocol {
             episode_seconds: env.episode_seconds,
             detection: env.detection,
             reward_range_metres: env.reward_range_metres,
+            reward_beyond: env.reward_beyond,
             time_to_teleport_seconds: scenario.sumo.time_to_teleport,
             depart_speed: scenario.sumo.depart_speed.clone(),
             depart_lane: scenario.sumo.depart_lane.clone(),
@@ -256,6 +260,7 @@ pub(super) mod tests {
             episode_seconds: 3600,
             detection: Detection::Default,
             reward_range_metres: 50.0,
+            reward_beyond: 0.0,
             time_to_teleport_seconds: -1.0,
             depart_speed: "0".to_owned(),
             depart_lane: "first".to_owned(),

@@ -126,7 +126,11 @@ fn title(scenario: &str, reports: &[&EvalReport]) -> String {
                 Detection::Paper => "within 50 m",
                 Detection::Default => "whole lanes",
             };
-            format!("detection {detection}, reward within {} m", own.reward_range_metres)
+            let beyond = match own.reward_beyond {
+                none if none == 0.0 => String::new(),
+                weight => format!(" and {weight} of what is beyond"),
+            };
+            format!("detection {detection}, reward within {} m{beyond}", own.reward_range_metres)
         }),
     ];
     let files = [
