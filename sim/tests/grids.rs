@@ -89,6 +89,18 @@ fn grid5x5_heavy_has_the_published_volume() {
 }
 
 #[test]
+fn the_varied_grids_are_those_that_are_pinned_and_differ_in_shape() {
+    let shapes = [1, 2, 3, 4].map(|number| {
+        // Loading compares the files that are built with the pins.
+        let scenario = Scenario::load(&format!("varied{number}")).unwrap();
+        let layout = layout(&scenario);
+        let first = &layout.intersections[0];
+        (layout.agents(), first.phases.len(), first.incoming.len(), scenario.vehicles().unwrap())
+    });
+    assert_eq!(shapes, [(9, 8, 12, 4500), (8, 8, 10, 3000), (6, 8, 8, 2500), (9, 2, 4, 2400)]);
+}
+
+#[test]
 fn arrivals_are_described_as_published() {
     for (name, published) in
         [("grid4x4", [1473.0, 24.55, 13.89, 72.0, 6.0]), ("arterial4x4", [2484.0, 41.4, 24.69, 88.0, 10.0])]
