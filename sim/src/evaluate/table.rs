@@ -127,7 +127,7 @@ fn title(scenario: &str, reports: &[&EvalReport]) -> String {
                 Detection::Default => "whole lanes",
             };
             let beyond = match own.reward_beyond {
-                none if none == 0.0 => String::new(),
+                0.0 => String::new(),
                 weight => format!(" and {weight} of what is beyond"),
             };
             format!("detection {detection}, reward within {} m{beyond}", own.reward_range_metres)
