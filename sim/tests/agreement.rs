@@ -115,6 +115,10 @@ scenarios! {
     ingolstadt1: "ingolstadt1",
     ingolstadt7: "ingolstadt7",
     ingolstadt21: "ingolstadt21",
+    varied1: "varied1",
+    varied2: "varied2",
+    varied3: "varied3",
+    varied4: "varied4",
 }
 
 /// Data sets that a user fetches; a checkout without them is as it should be.

@@ -73,6 +73,23 @@ fn an_episode_has_its_length_and_shapes_and_fills_with_vehicles() {
 }
 
 #[test]
+fn what_stands_beyond_the_rewards_range_costs_what_it_is_said_to_cost() {
+    let rewards = |metres, beyond| {
+        let mut env = env_with("arterial4x4", |options| {
+            (options.config.reward_range_metres, options.config.reward_beyond) = (metres, beyond);
+        });
+        episode(&mut env, 3, None).rewards
+    };
+    let (near, half, all) = (rewards(50.0, 0.0), rewards(50.0, 0.5), rewards(50.0, 1.0));
+    assert_ne!(near, all, "nobody stood beyond 50 m");
+    assert_eq!(all, rewards(10_000.0, 0.0), "as if the range were the whole lane");
+    let middle = |(near, all): (&Vec<f32>, &Vec<f32>)| -> Vec<f32> {
+        near.iter().zip(all).map(|(near, all)| (near + all) / 2.0).collect()
+    };
+    assert_eq!(half, near.iter().zip(&all).map(middle).collect::<Vec<_>>());
+}
+
+#[test]
 fn watching_every_second_changes_nothing() {
     let mut env = env("grid4x4");
     let apart = episode(&mut env, 5, None);

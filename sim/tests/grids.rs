@@ -95,6 +95,7 @@ fn the_varied_grids_are_those_that_are_pinned_and_differ_in_shape() {
         let scenario = Scenario::load(&format!("varied{number}")).unwrap();
         let layout = layout(&scenario);
         let first = &layout.intersections[0];
+        assert!(layout.intersections.iter().all(|at| at.movements.len() == 12), "varied{number}");
         (layout.agents(), first.phases.len(), first.incoming.len(), scenario.vehicles().unwrap())
     });
     assert_eq!(shapes, [(9, 8, 12, 4500), (8, 8, 10, 3000), (6, 8, 8, 2500), (9, 2, 4, 2400)]);

@@ -108,6 +108,7 @@ fn values_out_of_their_range_are_faults() {
         ("/protocol/preset", json!("mine")),
         ("/protocol/net_hash", json!("0af7")),
         ("/protocol/interval_seconds", json!(0)),
+        ("/protocol/reward_beyond", json!(1.5)),
         ("/seeds", json!([])),
         ("/seeds", json!([1, 1])),
         ("/seeds/0", json!(4_294_967_296_u64)),
