@@ -222,6 +222,14 @@ mod tests {
     }
 
     #[test]
+    fn the_rewards_weight_beyond_its_range_is_told_where_there_is_one() {
+        let mut own = report("grid4x4", "cross", &[1.0]);
+        own.protocol.reward_beyond = 0.25;
+        let text = table(&[own]);
+        assert!(text.contains("reward within 50 m and 0.25 of what is beyond\n"), "{text}");
+    }
+
+    #[test]
     fn a_program_of_sumos_is_not_said_to_decide() {
         let mut own = report("grid4x4", "actuated", &[1.0]);
         own.controller = "actuated".to_owned();
