@@ -291,8 +291,8 @@ impl Telemetry {
 
     /// What a finished episode came to. The gauges do not exist before the first: 0 would be the best return there is.
     ///
-    /// `episode_return` is the summed raw reward, mean over agents; `queue_length` the stopped vehicles within reward
-    /// range per incoming lane, mean over the decisions.
+    /// `episode_return` is the summed raw reward, mean over agents; `queue_length` the stopped vehicles per
+    /// incoming lane as the reward counts them (beyond its range by `env.reward_beyond`), mean over the decisions.
     pub fn finished(&self, scenario: &str, episode_return: f64, queue_length: f64) {
         with_local_recorder(&self.recorder, || {
             gauge!("cross_actor_episode_return", "scenario" => scenario.to_owned()).set(episode_return);
@@ -311,7 +311,7 @@ fn describe() {
     );
     describe_gauge!(
         "cross_actor_queue_length_vehicles",
-        "Stopped vehicles within reward range per incoming lane, mean over the newest finished episode"
+        "Stopped vehicles per incoming lane as the reward counts them, mean over the newest finished episode"
     );
     describe_counter!("cross_actor_sumo_restarts_total", "SUMO processes replaced after a failure");
     describe_histogram!("cross_actor_step_seconds", Unit::Seconds, "Time of one decision step by part");

@@ -17,6 +17,10 @@ pub const NEAR_METRES: f64 = 50.0;
 /// End of the second band of [`Detection::Default`](cross_config::Detection::Default), metres before the end of a lane.
 pub const MIDDLE_METRES: f64 = 100.0;
 
+/// End of the last but one band of [`Detection::Fine`](cross_config::Detection::Fine) for moving vehicles, metres before the
+/// end of a lane: what a vehicle at 50 to 70 km/h drives between two decisions, and once more as much.
+pub const FAR_METRES: f64 = 200.0;
+
 /// Vehicles on one lane at one moment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LaneCounts {
@@ -30,6 +34,8 @@ pub struct LaneCounts {
     pub total_near: u16,
     /// Moving within 100 m of the lane's end.
     pub moving_middle: u16,
+    /// Moving within 200 m of the lane's end.
+    pub moving_far: u16,
     /// Stopped within the reward's range of the lane's end.
     pub stopped_in_reward_range: u16,
 }
@@ -58,6 +64,7 @@ impl LaneCounts {
         bump(&mut self.total_near, near);
         bump(&mut self.stopped_near, near && stopped);
         bump(&mut self.moving_middle, !stopped && distance_to_end <= MIDDLE_METRES);
+        bump(&mut self.moving_far, !stopped && distance_to_end <= FAR_METRES);
         bump(&mut self.stopped_in_reward_range, stopped && distance_to_end <= reward_range);
     }
 }

@@ -12,6 +12,14 @@ pub fn observe(lanes: &LaneTable, detection: Detection, out: &mut Vec<u16>) {
             Detection::Default => {
                 out.extend([lane.stopped, lane.moving_middle, lane.moving() - lane.moving_middle]);
             }
+            Detection::Fine => out.extend([
+                lane.stopped_near,
+                lane.stopped - lane.stopped_near,
+                lane.moving_near(),
+                lane.moving_middle - lane.moving_near(),
+                lane.moving_far - lane.moving_middle,
+                lane.moving() - lane.moving_far,
+            ]),
         }
     }
 }
@@ -58,12 +66,16 @@ mod tests {
         lanes.add("b", 100.0, 5.0); // exactly 100 m away, moving
         lanes.add("b", 99.9, 5.0); // farther, moving
         lanes.add(":J_0_0", 1.0, 0.0); // inside a junction
-        let (mut paper, mut default) = (Vec::new(), Vec::new());
+        lanes.add("b", -0.1, 5.0); // more than 200 m away
+        let (mut paper, mut default, mut fine) = (Vec::new(), Vec::new(), Vec::new());
         observe(&lanes, Detection::Paper, &mut paper);
         observe(&lanes, Detection::Default, &mut default);
+        observe(&lanes, Detection::Fine, &mut fine);
         // Rows: a, b of the first intersection; b, c of the second.
         assert_eq!(paper, [0, 0, 1, 1, 1, 1, 0, 0]);
-        assert_eq!(default, [0, 0, 0, 2, 2, 1, 2, 2, 1, 0, 0, 0]);
+        assert_eq!(default, [0, 0, 0, 2, 2, 2, 2, 2, 2, 0, 0, 0]);
+        assert_eq!(fine[..12], [0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1]);
+        assert_eq!(fine[12..], [1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0]);
     }
 
     #[test]

@@ -7,8 +7,7 @@
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Observation {
     /// Vehicle counts `[lane rows, bands]`, row-major: agents in layout order, in each agent incoming lanes then outgoing
-    /// lanes, for each lane its bands: `paper` (stopped, moving within 50 m), `default` (stopped, moving within 100 m,
-    /// moving beyond).
+    /// lanes, for each lane its bands ([`Detection`](cross_config::Detection)).
     pub counts: Vec<u16>,
     /// Index of each agent's current green phase `[agents]`.
     pub phases: Vec<u8>,
@@ -72,7 +71,7 @@ pub struct Fragment {
     pub actions: Vec<u8>,
     /// Behaviour log-probabilities of the actions `[T, N]`.
     pub log_probs: Vec<f32>,
-    /// Raw rewards `[T, N]`: minus the stopped vehicles within reward range, at the end of each step.
+    /// Raw rewards `[T, N]`: minus the stopped vehicles, those beyond the reward's range weighted, at the end of each step.
     pub rewards: Vec<f32>,
     /// Recurrent state before the first step; empty vectors exactly if `first_step` is 0.
     pub recurrent: RecurrentState,

@@ -244,17 +244,32 @@ fn the_seed_decides_the_episode() {
 }
 
 #[test]
-fn both_detections_see_the_same_traffic() {
-    let default = episode(&mut env("cologne1"), 3, None);
-    let mut env = env_with("cologne1", |options| options.config.detection = Detection::Paper);
-    let paper = episode(&mut env, 3, None);
+fn all_detections_see_the_same_traffic() {
+    let seen_by = |detection| {
+        let mut env = env_with("cologne1", |options| options.config.detection = detection);
+        episode(&mut env, 3, None)
+    };
+    let default = seen_by(Detection::Default);
+    let (paper, fine) = (seen_by(Detection::Paper), seen_by(Detection::Fine));
     assert_eq!(default.rewards, paper.rewards);
-    for (default, paper) in default.observations.iter().zip(&paper.observations) {
-        for (default, paper) in default.counts.chunks(3).zip(paper.counts.chunks(2)) {
+    assert_eq!(default.rewards, fine.rewards);
+    for (step, default) in default.observations.iter().enumerate() {
+        let others = paper.observations[step].counts.chunks(2).zip(fine.observations[step].counts.chunks(6));
+        for (default, (paper, fine)) in default.counts.chunks(3).zip(others) {
             assert!(paper[0] <= default[0]);
             assert!(paper[0] + paper[1] <= default.iter().sum());
+            assert_eq!([fine[0], fine[2]], *paper, "within 50 m");
+            assert_eq!(
+                [fine[0] + fine[1], fine[2] + fine[3], fine[4] + fine[5]],
+                *default,
+                "stopped, moving within 100 m, moving beyond"
+            );
         }
     }
+    let most = |band: usize| {
+        fine.observations.iter().flat_map(|seen| seen.counts.chunks(6)).map(|lane| lane[band]).max()
+    };
+    assert!((0..6).all(|band| most(band) > Some(0)), "every band is for something");
 }
 
 #[test]

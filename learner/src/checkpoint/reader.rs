@@ -199,12 +199,18 @@ pub fn export(checkpoint: &Path, out: &Path) -> Result<Metadata, CheckpointError
     Ok(metadata)
 }
 
-/// The policy bytes that `path` stands for, for `Policy::from_snapshot`: a run directory (its latest checkpoint), a
-/// checkpoint directory, or an exported safetensors file.
+/// The policy bytes that `path` stands for, for `Policy::from_snapshot`: a run directory (its latest checkpoint), that run's
+/// `checkpoints/latest`, a checkpoint directory, or an exported safetensors file.
 ///
 /// # Errors
 /// [`CheckpointError`] names the file at fault.
 pub fn load_policy(path: &Path) -> Result<(Option<Metadata>, Vec<u8>), CheckpointError> {
+    // It looks like one more checkpoint, and whoever names it means the one it names.
+    if path.ends_with(Path::new(FOLDER).join(LATEST_FILE))
+        && let Some(run) = path.ancestors().nth(2)
+    {
+        return model(&find(run, LATEST_FILE)?).map(|(metadata, bytes)| (Some(metadata), bytes));
+    }
     if path.is_file() {
         let bytes = std::fs::read(path).map_err(CheckpointError::io("read", path))?;
         tensors_of(&bytes, path)?;

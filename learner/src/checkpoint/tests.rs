@@ -230,7 +230,8 @@ fn policies_load_from_run_checkpoint_and_exported_file() {
     let run = run_with(&[1, 2]);
     let out = run.path().join("policy.safetensors");
     reader::export(&reader::find(run.path(), "000002").unwrap(), &out).unwrap();
-    for path in [run.path().to_owned(), run.path().join(FOLDER).join("000002"), out.clone()] {
+    let folder = run.path().join(FOLDER);
+    for path in [run.path().to_owned(), folder.join("000002"), folder.join(LATEST_FILE), out.clone()] {
         assert_eq!(reader::load_policy(&path).unwrap().1, files(2).model);
     }
     fs::write(&out, b"something else").unwrap();

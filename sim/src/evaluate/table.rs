@@ -124,7 +124,7 @@ fn title(scenario: &str, reports: &[&EvalReport]) -> String {
         of("detectors", &|own| {
             let detection = match own.detection {
                 Detection::Paper => "within 50 m",
-                Detection::Default => "whole lanes",
+                Detection::Default | Detection::Fine => "whole lanes",
             };
             let beyond = match own.reward_beyond {
                 0.0 => String::new(),
