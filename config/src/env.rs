@@ -26,6 +26,15 @@ impl Detection {
             Self::Fine => 6,
         }
     }
+
+    /// How many of these, the first ones, count stopped vehicles; the others count moving ones.
+    #[must_use]
+    pub fn stopped_bands(self) -> usize {
+        match self {
+            Self::Paper | Self::Default => 1,
+            Self::Fine => 2,
+        }
+    }
 }
 
 /// Decisions, signals, observation and reward.

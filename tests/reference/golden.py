@@ -550,7 +550,7 @@ def build(name):
     """Tensors and metadata of one fixture."""
     seed, detection, model, ppo = FIXTURES[name]
     rng = np.random.default_rng(seed)
-    bands = {"paper": 2, "default": 3}[detection]
+    bands = {"paper": 2, "default": 3, "fine": 6}[detection]
     config = {
         "seed": seed, "scenarios": list(SCENARIOS),
         "env": {"detection": detection, "max_movements": MAX_MOVEMENTS, "max_phases": MAX_PHASES},

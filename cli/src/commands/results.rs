@@ -18,8 +18,8 @@ use std::process::ExitCode;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  cross results --policy pretrained/default --policy pretrained/near --sampled         the published policies on all eight
-  cross results --markdown my-results.md --pictures pictures                             a page, with a picture a scenario
+  cross results --policy pretrained/default --sampled                    the published policy, greedy and drawn
+  cross results --markdown my-results.md --pictures pictures             a page, with a picture a scenario
   cross results --policy runs/20260131-235959 --scenario grid4x4 --scenario cologne8
   cross results --policy pretrained/default --seeds 1 --json
 

@@ -95,6 +95,8 @@ pub struct NetworkSpec {
     pub lane_rows: usize,
     /// Bands per lane.
     pub bands: usize,
+    /// How many of them, the first ones, count stopped vehicles.
+    pub stopped_bands: usize,
     /// Form of the features.
     pub gfe: Gfe,
     /// Padded movements of the `paper` form.
@@ -117,6 +119,7 @@ impl NetworkSpec {
             agents,
             lane_rows: first_lane_row,
             bands: env.detection.bands(),
+            stopped_bands: env.detection.stopped_bands(),
             gfe: model.gfe,
             max_movements: env.max_movements,
         })

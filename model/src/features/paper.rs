@@ -15,7 +15,8 @@ pub(super) fn phase_state(intersection: &Intersection, max_movements: usize) -> 
     state
 }
 
-/// Appends one padded state `[max_movements * 5]`. With more than two bands, all moving bands are summed.
+/// Appends one padded state `[max_movements * 5]`. With more than two bands, those of stopped vehicles are summed, and those of
+/// moving ones.
 pub(super) fn push_state(
     spec: &AgentSpec,
     network: &NetworkSpec,
@@ -28,13 +29,60 @@ pub(super) fn push_state(
     let green = &spec.phase_state[current * network.max_movements..];
     let lane = |row: usize| {
         let own = &counts[row * network.bands..(row + 1) * network.bands];
-        let moving: u32 = own[1..].iter().map(|&count| u32::from(count)).sum();
-        (f32::from(own[0]) / COUNT_SCALE, moving as f32 / COUNT_SCALE)
+        let (stopped, moving) = own.split_at(network.stopped_bands);
+        let sum = |counts: &[u16]| counts.iter().map(|&count| f32::from(count)).sum::<f32>() / COUNT_SCALE;
+        (sum(stopped), sum(moving))
     };
     for (m, &(incoming, outgoing)) in spec.movements.iter().enumerate() {
         let (stopped_in, moving_in) = lane(incoming);
         let (stopped_out, moving_out) = lane(outgoing);
         let cell = &mut states[at + m * STATE_FEATURES..at + (m + 1) * STATE_FEATURES];
         cell.copy_from_slice(&[green[m], stopped_in, stopped_out, moving_in, moving_out]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::features::{NetworkSpec, Track};
+    use cross_config::{Config, Detection, Gfe};
+    use cross_sim::layout::{Intersection, Lane, Movement, NetworkLayout, Phase, Road};
+
+    fn crossing() -> NetworkLayout {
+        let lane = |id: &str| Lane { id: id.to_owned(), length: 300.0, speed: 13.9 };
+        let road = |id: &str| Road { id: id.to_owned(), length: 300.0, speed: 13.9, lanes: 1, movements: 1 };
+        let phase = |state: &str, green| Phase { state: state.to_owned(), green: vec![green] };
+        NetworkLayout {
+            intersections: vec![Intersection {
+                id: "j".to_owned(),
+                position: (0.0, 0.0),
+                incoming: vec![lane("in")],
+                outgoing: vec![lane("out")],
+                movements: vec![Movement { incoming: 0, outgoing: 0 }],
+                phases: vec![phase("r", 0.0), phase("G", 1.0)],
+                roads_in: vec![road("a")],
+                roads_out: vec![road("b")],
+            }],
+        }
+    }
+
+    /// The state's five numbers, under counts of the incoming lane and then of the outgoing one.
+    fn state(detection: Detection, counts: &[u16]) -> Vec<f32> {
+        let mut config = Config::default();
+        config.env.detection = detection;
+        config.model.gfe = Gfe::Paper;
+        let network = NetworkSpec::new(&crossing(), &config.env, &config.model).unwrap();
+        let mut seen = Track::default();
+        network.look(counts, &[1], &mut seen);
+        assert!(seen.states[5..].iter().all(|&padding| padding == 0.0));
+        seen.states.truncate(5);
+        seen.states
+    }
+
+    #[test]
+    fn every_detection_tells_stopped_from_moving() {
+        let expected = [1.0, 0.5, 0.7, 0.6, 0.8];
+        assert_eq!(state(Detection::Paper, &[5, 6, 7, 8]), expected);
+        assert_eq!(state(Detection::Default, &[5, 2, 4, 7, 8, 0]), expected);
+        assert_eq!(state(Detection::Fine, &[2, 3, 1, 2, 0, 3, 7, 0, 0, 0, 4, 4]), expected);
     }
 }

@@ -375,8 +375,8 @@ pub enum Named {
     File(String, String),
 }
 
-/// Takes `s3://BUCKET/RUN`, `s3://BUCKET/RUN/checkpoints/000120` and `s3://BUCKET/policy.safetensors` apart; `None` for what is
-/// no URL but a path.
+/// Takes `s3://BUCKET/RUN`, `s3://BUCKET/RUN/checkpoints/000120` (or `.../latest`) and `s3://BUCKET/policy.safetensors` apart;
+/// `None` for what is no URL but a path.
 #[must_use]
 pub fn named(text: &str) -> Option<Named> {
     if !text.contains("://") {
@@ -384,7 +384,9 @@ pub fn named(text: &str) -> Option<Named> {
     }
     let text = text.trim_end_matches('/');
     Some(match text.rsplit_once('/') {
-        Some((folder, id)) if updates_of(id).is_some() && folder.ends_with(&format!("/{FOLDER}")) => {
+        Some((folder, id))
+            if (updates_of(id).is_some() || id == LATEST_FILE) && folder.ends_with(&format!("/{FOLDER}")) =>
+        {
             let run = folder.strip_suffix(FOLDER).unwrap_or(folder).trim_end_matches('/');
             Named::Checkpoint(run.to_owned(), id.to_owned())
         }

@@ -302,6 +302,7 @@ fn urls_of_runs_checkpoints_and_files_are_told_apart() {
         ("s3://b/a", Some(Named::Run("s3://b/a".to_owned()))),
         ("s3://b/a/", Some(Named::Run("s3://b/a".to_owned()))),
         ("s3://b/checkpoints/000120", Some(Named::Checkpoint("s3://b".to_owned(), "000120".to_owned()))),
+        ("s3://b/a/checkpoints/latest", Some(Named::Checkpoint("s3://b/a".to_owned(), "latest".to_owned()))),
         ("s3://b/a/checkpoints/000120/", Some(Named::Checkpoint("s3://b/a".to_owned(), "000120".to_owned()))),
         ("s3://b/000120", Some(Named::Run("s3://b/000120".to_owned()))),
         ("gs://b/x/p.safetensors", Some(Named::File("gs://b/x".to_owned(), "p.safetensors".to_owned()))),
