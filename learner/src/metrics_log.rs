@@ -58,7 +58,8 @@ pub struct ScenarioLine {
     pub decisions: u64,
     /// Mean over the agents of the summed raw reward, mean over the newest finished episodes.
     pub episode_return: Option<f64>,
-    /// Stopped vehicles per incoming lane as the reward counts them (beyond its range by `env.reward_beyond`), over the same episodes.
+    /// Stopped vehicles per incoming lane as the reward counts them (beyond its range by `env.reward_beyond`), over the same
+    /// episodes.
     pub queue_length: Option<f64>,
     /// `approx_kl`, `clip_fraction`, `entropy`, `explained_variance` over this scenario's data; empty if the round held none.
     #[serde(default)]

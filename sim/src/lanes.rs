@@ -18,7 +18,7 @@ pub const NEAR_METRES: f64 = 50.0;
 pub const MIDDLE_METRES: f64 = 100.0;
 
 /// End of the last but one band of [`Detection::Fine`](cross_config::Detection::Fine) for moving vehicles, metres before the
-/// end of a lane: what a vehicle at 50 to 70 km/h drives between two decisions, and once more as much.
+/// end of a lane: about what a vehicle at 70 km/h drives between two decisions.
 pub const FAR_METRES: f64 = 200.0;
 
 /// Vehicles on one lane at one moment.

@@ -280,6 +280,7 @@ pub struct ScenarioProgress {
     /// Mean over the agents of the summed raw reward, mean over the episodes finished since the round before; none before
     /// the first.
     pub episode_return: Option<f64>,
-    /// Stopped vehicles per incoming lane as the reward counts them (beyond its range by `env.reward_beyond`), mean over the same episodes' decisions.
+    /// Stopped vehicles per incoming lane as the reward counts them (beyond its range by `env.reward_beyond`), mean over the
+    /// same episodes' decisions.
     pub queue_length: Option<f64>,
 }
