@@ -67,7 +67,7 @@ fi
 # Nets and demand of everything that set-up fetched, and the generated scenarios, so that no container has to write there.
 cp -r "$root/.deps/resco" "$deps/"
 cp -r "$root/scenarios" "$destination/learner/opt/cross/"
-for scenario in grid5x5 grid5x5-heavy grid5x5-light grid5x5-mid varied1 varied2 varied3 varied4; do
+for scenario in grid5x5 grid5x5-heavy grid5x5-light grid5x5-mid varied1 varied2 varied3 varied4 varied5 varied6; do
     "$release/cross" scenario fetch "$scenario" >&2
 done
 cp -r "$root/.deps/generated" "$deps/"

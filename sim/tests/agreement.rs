@@ -119,6 +119,8 @@ scenarios! {
     varied2: "varied2",
     varied3: "varied3",
     varied4: "varied4",
+    varied5: "varied5",
+    varied6: "varied6",
 }
 
 /// Data sets that a user fetches; a checkout without them is as it should be.

@@ -102,6 +102,31 @@ fn the_varied_grids_are_those_that_are_pinned_and_differ_in_shape() {
 }
 
 #[test]
+fn the_irregular_ones_have_junctions_of_three_arms_and_phases_for_left_turns_alone() {
+    for (number, vehicles, agents, three_arms) in [(5, 1800, 16, 10), (6, 1800, 12, 12)] {
+        let scenario = Scenario::load(&format!("varied{number}")).unwrap();
+        let layout = layout(&scenario);
+        assert_eq!((layout.agents(), scenario.vehicles().unwrap()), (agents, vehicles), "varied{number}");
+        assert!(layout.intersections.iter().all(|at| (3..=4).contains(&at.roads_in.len())));
+        let three = layout.intersections.iter().filter(|at| at.roads_in.len() == 3);
+        assert_eq!(three.count(), three_arms, "varied{number}");
+        // A phase that lets a shared lane's left turns go and keeps the rest of the lane waiting.
+        let alone = layout.intersections.iter().filter(|at| {
+            at.phases.iter().any(|phase| {
+                let of = |lane: usize, green: bool| {
+                    at.movements
+                        .iter()
+                        .zip(&phase.green)
+                        .any(|(link, &state)| link.incoming == lane && (state > 0.0) == green)
+                };
+                (0..at.incoming.len()).any(|lane| of(lane, true) && of(lane, false))
+            })
+        });
+        assert!(alone.count() >= 5, "varied{number}");
+    }
+}
+
+#[test]
 fn arrivals_are_described_as_published() {
     for (name, published) in
         [("grid4x4", [1473.0, 24.55, 13.89, 72.0, 6.0]), ("arterial4x4", [2484.0, 41.4, 24.69, 88.0, 10.0])]
@@ -153,6 +178,47 @@ fn grids_of_many_shapes_are_built_as_asked_for() {
             let served = |link: usize| intersection.phases.iter().any(|phase| phase.green[link] > 0.0);
             assert!((0..movements).all(served), "{columns}x{rows}");
         }
+    }
+}
+
+#[test]
+fn irregular_grids_are_built_as_asked_for_and_everybody_is_served() {
+    let road = |lanes| RoadOptions { lanes, speed: 14.0 };
+    for (streets, avenues, seed) in [(1, 1, 1), (2, 1, 2), (3, 3, 3), (4, 2, 4)] {
+        let demand = Demand::Uniform { vehicles_per_hour: 900, duration: 600 };
+        let options = GridOptions {
+            columns: 3,
+            rows: 3,
+            closed: 0.3,
+            jitter: 30.0,
+            streets: road(streets),
+            avenues: road(avenues),
+            protected_left: true,
+            right_on_red: seed == 2,
+            demand,
+            seed,
+            ..GridOptions::default()
+        };
+        let (_folder, scenario) = generate(&options);
+        let layout = layout(&scenario);
+        assert_eq!(layout.agents(), 9);
+        assert!(layout.intersections.iter().any(|at| at.roads_in.len() == 3));
+        for intersection in &layout.intersections {
+            assert!((2..=8).contains(&intersection.phases.len()), "{:?}", intersection.phases);
+            let served = |link: usize| intersection.phases.iter().any(|phase| phase.green[link] > 0.0);
+            assert!((0..intersection.movements.len()).all(served), "{}", intersection.id);
+        }
+        let env = EnvOptions::default();
+        let mut env = Env::new(&SumoHome::locate(None).unwrap(), &scenario, env).unwrap();
+        env.reset(1).unwrap();
+        for step in 0..60 {
+            let phases: Vec<u8> =
+                layout.intersections.iter().map(|at| (step % at.phases.len()) as u8).collect();
+            env.step(&phases).unwrap();
+        }
+        env.close().unwrap();
+        let (_again, again) = generate(&options);
+        assert_eq!(scenario.net_hash, again.net_hash, "the same options give the same net");
     }
 }
 

@@ -35,15 +35,18 @@ prop_compose! {
         rows in 1..7_u32,
         spacing in 40.0..400.0_f64,
         fringe in 40.0..400.0_f64,
+        closed in prop_oneof![Just(0.0), 0.0..0.5_f64],
+        jitter in prop_oneof![Just(0.0), 0.0..60.0_f64],
         streets in road(),
         avenues in road(),
         right_on_red: bool,
+        protected_left: bool,
         green_seconds in 1..90_u32,
         yellow_seconds in 0..6_u32,
         demand in demand(),
         seed: u64,
     ) -> GridOptions {
-        GridOptions { columns, rows, spacing, fringe, streets, avenues, right_on_red, green_seconds, yellow_seconds, demand, seed }
+        GridOptions { columns, rows, spacing, fringe, closed, jitter, streets, avenues, right_on_red, protected_left, green_seconds, yellow_seconds, demand, seed }
     }
 }
 

@@ -29,8 +29,10 @@ Examples:
   cross scenario generate grid --columns 3 --rows 3 --name small
   cross scenario generate grid --street-lanes 3 --avenue-lanes 3 --demand uniform --vehicles-per-hour 1500 --name wide
   cross scenario generate grid --demand two-wave --first-peak 1100 --second-peak 925 --teleport 300 --name mine
+  cross scenario generate grid --columns 4 --rows 4 --street-lanes 1 --closed 0.25 --jitter 40 --name town
 
-One lane serves all turns; of two, the inner one is for left turns; from three on the outer one is for right turns as well.")]
+One lane serves all turns; of two, the inner one is for left turns; from three on the outer one is for right turns as well.
+With --closed there are junctions of three roads, with phases of their own, and with --jitter streets that are not straight.")]
 struct Grid {
     #[command(flatten)]
     target: Target,
@@ -46,6 +48,12 @@ struct Grid {
     /// Metres from the outer crossings to the dead ends [default: as between crossings]
     #[arg(long, value_name = "M")]
     fringe: Option<f64>,
+    /// Share of the roads that are left out, as far as every crossing keeps three arms: 0 to 0.5
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    closed: f64,
+    /// Metres by which crossings lie beside where a regular grid has them, at most
+    #[arg(long, value_name = "M", default_value_t = 0.0)]
+    jitter: f64,
     /// Lanes of a street in each direction
     #[arg(long, value_name = "N", default_value_t = 2)]
     street_lanes: u32,
@@ -61,6 +69,9 @@ struct Grid {
     /// Vehicles may turn right on red after a stop
     #[arg(long)]
     right_on_red: bool,
+    /// Roads of one lane have a phase for left turns alone, too
+    #[arg(long)]
+    protected_left: bool,
     /// Seconds of every green of the net's own program
     #[arg(long, value_name = "S", default_value_t = 30)]
     green: u32,
@@ -91,7 +102,7 @@ struct Grid {
     /// Seconds of standing after which SUMO moves a vehicle on; -1 never
     #[arg(long, value_name = "S", default_value_t = -1, allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-1..))]
     teleport: i32,
-    /// Seed of everything random in the demand
+    /// Seed of everything random: the demand, and which roads are left out and crossings moved
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     #[command(flatten)]
@@ -140,9 +151,12 @@ impl Grid {
             rows: self.rows,
             spacing: self.spacing,
             fringe: self.fringe.unwrap_or(self.spacing),
+            closed: self.closed,
+            jitter: self.jitter,
             streets: RoadOptions { lanes: self.street_lanes, speed: self.street_speed },
             avenues: RoadOptions { lanes: self.avenue_lanes, speed: self.avenue_speed },
             right_on_red: self.right_on_red,
+            protected_left: self.protected_left,
             green_seconds: self.green,
             yellow_seconds: self.yellow,
             demand: self.demand(),

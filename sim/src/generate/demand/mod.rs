@@ -80,6 +80,12 @@ impl Demand {
                         grid.columns, grid.rows
                     ));
                 }
+                if grid.closed > 0.0 {
+                    return refuse(format!(
+                        "two-wave demand needs every road, but closed is {}; take the profile uniform or peak",
+                        grid.closed
+                    ));
+                }
             }
             Self::Uniform { vehicles_per_hour, duration } | Self::Peak { vehicles_per_hour, duration } => {
                 whole("duration", duration, 1..=86_400)?;
@@ -210,6 +216,11 @@ mod tests {
         refused(GridOptions { demand: none, ..GridOptions::default() }, "vehicles_per_hour");
         let many = Demand::Peak { vehicles_per_hour: u32::MAX, duration: 86_400 };
         refused(GridOptions { demand: many, ..GridOptions::default() }, "vehicles_per_hour");
+        let two_wave =
+            Demand::TwoWave { first_peak: 1, second_peak: 1, slot_seconds: 300, initial_per_lane: 0 };
+        refused(GridOptions { demand: two_wave, closed: 0.1, ..GridOptions::default() }, "every road");
+        refused(GridOptions { closed: 0.6, ..GridOptions::default() }, "closed");
+        refused(GridOptions { jitter: 51.0, ..GridOptions::default() }, "jitter");
         refused(GridOptions { spacing: f64::NAN, ..GridOptions::default() }, "spacing");
         refused(GridOptions { columns: 0, ..GridOptions::default() }, "columns");
         refused(GridOptions { rows: 1_000_000, ..GridOptions::default() }, "rows");

@@ -1,7 +1,7 @@
 //! Single trips between dead ends drawn at random.
 
 use super::VEHICLE_TYPE;
-use crate::generate::grid::{GridOptions, edge_id, fringe, neighbour};
+use crate::generate::grid::{GridOptions, Shape, edge_id, neighbour};
 use crate::generate::xml::XmlFile;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -33,10 +33,10 @@ pub(super) fn trips<W: Write>(
         })
         .collect();
     departures.sort_unstable();
-    let ends = fringe(options);
+    let ends = Shape::new(options).ends(options);
     for (number, depart) in departures.iter().enumerate() {
         let origin = generator.random_range(0..ends.len());
-        // Any other end, each as likely: a grid has at least four.
+        // Any other end, each as likely: a grid has at least two.
         let destination = (origin + generator.random_range(1..ends.len())) % ends.len();
         let ((from, into), (to, back)) = (ends[origin], ends[destination]);
         xml.element(

@@ -6,11 +6,13 @@
 
 mod options;
 mod roads;
+mod shape;
 mod signals;
 
 pub(crate) use options::whole;
 pub use options::{GridOptions, MAX_LANES, MAX_SIDE, RoadOptions};
 pub(crate) use roads::{Heading, Place, edge_id, fringe, neighbour, places};
+pub(crate) use shape::Shape;
 
 use crate::generate::plain::PlainNet;
 
@@ -19,11 +21,12 @@ pub(crate) const LANE_WIDTH: f64 = 3.2;
 
 /// The network of a grid; the options have been validated.
 pub(crate) fn network(options: &GridOptions) -> PlainNet {
+    let shape = Shape::new(options);
     PlainNet {
-        nodes: roads::nodes(options),
-        edges: roads::edges(options),
-        connections: roads::connections(options),
-        programs: signals::programs(options),
+        nodes: roads::nodes(options, &shape),
+        edges: roads::edges(options, &shape),
+        connections: roads::connections(options, &shape),
+        programs: signals::programs(options, &shape),
         lane_width: LANE_WIDTH,
     }
 }

@@ -21,19 +21,26 @@ pub struct GridOptions {
     pub spacing: f64,
     /// Distance from the outermost crossings to the dead ends where vehicles come from and go to, metres.
     pub fringe: f64,
+    /// Share of the roads that are left out, as far as every crossing keeps three arms and all can be reached; 0 is a whole
+    /// grid.
+    pub closed: f64,
+    /// How far a crossing may lie from where a regular grid has it, metres east or west and north or south.
+    pub jitter: f64,
     /// The east-west roads.
     pub streets: RoadOptions,
     /// The north-south roads.
     pub avenues: RoadOptions,
     /// Whether vehicles may turn right on red after a stop.
     pub right_on_red: bool,
+    /// Whether roads of one lane have a phase for left turns alone, besides the one in which these yield.
+    pub protected_left: bool,
     /// Duration of every green of the nets' own program, seconds.
     pub green_seconds: u32,
     /// Duration of every yellow of the nets' own program, seconds.
     pub yellow_seconds: u32,
     /// Who drives where and when.
     pub demand: Demand,
-    /// Seed of everything random in the demand.
+    /// Seed of everything random: in the demand, and which roads are left out and crossings moved.
     pub seed: u64,
 }
 
@@ -54,9 +61,12 @@ impl Default for GridOptions {
             rows: 5,
             spacing: 200.0,
             fringe: 200.0,
+            closed: 0.0,
+            jitter: 0.0,
             streets: RoadOptions { lanes: 2, speed: 20.0 },
             avenues: RoadOptions { lanes: 1, speed: 11.0 },
             right_on_red: false,
+            protected_left: false,
             green_seconds: 30,
             yellow_seconds: 3,
             demand: Demand::default(),
@@ -82,12 +92,16 @@ impl GridOptions {
         }
         // A junction is as wide as its roads; something must remain between two of them.
         let widest = 2.0 * f64::from(self.streets.lanes.max(self.avenues.lanes)) * super::LANE_WIDTH;
-        let shortest = self.spacing.min(self.fringe);
+        measure("closed", self.closed, 0.0, 0.5)?;
+        let nominal = self.spacing.min(self.fringe);
+        // A crossing that moved farther could come to lie on another one's road.
+        measure("jitter", self.jitter, 0.0, nominal / 4.0)?;
+        let shortest = nominal - 2.0 * self.jitter;
         if shortest < widest + 20.0 {
             return Err(GenerateError::Option {
                 what: format!(
                     "roads of {shortest} m are too short between junctions {widest:.1} m wide; enlarge spacing and \
-                     fringe, or take fewer lanes"
+                     fringe, or take fewer lanes or less jitter"
                 ),
             });
         }

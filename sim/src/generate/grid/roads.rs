@@ -1,6 +1,7 @@
 //! Crossings, roads between them, and which lane leads where.
 
 use super::GridOptions;
+use super::shape::Shape;
 use crate::generate::plain::{Connection, Edge, Node, NodeKind};
 
 /// A place of the grid: crossings have columns 1 to `columns` and rows 1 to `rows`, dead ends lie one further out.
@@ -65,14 +66,9 @@ impl Heading {
 }
 
 impl Place {
-    /// Whether it is a dead end.
-    fn is_outside(self, options: &GridOptions) -> bool {
-        self.column == 0 || self.row == 0 || self.column > options.columns || self.row > options.rows
-    }
-
     fn id(self, options: &GridOptions) -> String {
         let (columns, rows) = (options.columns, options.rows);
-        if !self.is_outside(options) {
+        if !is_outside(self, options) {
             return format!("nt{}", columns * (self.row - 1) + self.column);
         }
         let number = if self.row == 0 {
@@ -99,6 +95,11 @@ impl Place {
         };
         (along(self.column, options.columns), along(self.row, options.rows))
     }
+}
+
+/// Whether a place is a dead end.
+pub(super) fn is_outside(place: Place, options: &GridOptions) -> bool {
+    place.column == 0 || place.row == 0 || place.column > options.columns || place.row > options.rows
 }
 
 /// The crossings, from west to east and then from south to north.
@@ -138,17 +139,20 @@ pub(super) fn light_id(options: &GridOptions, place: Place) -> String {
     place.id(options)
 }
 
-pub(super) fn nodes(options: &GridOptions) -> Vec<Node> {
+pub(super) fn nodes(options: &GridOptions, shape: &Shape) -> Vec<Node> {
     let signal = if options.right_on_red { NodeKind::SignalWithRightOnRed } else { NodeKind::Signal };
     let inside = places(options).map(|place| (place, signal));
-    let outside = fringe(options).into_iter().map(|(place, _)| (place, NodeKind::Priority));
+    let outside = shape.ends(options).into_iter().map(|(place, _)| (place, NodeKind::Priority));
     inside
         .chain(outside)
-        .map(|(place, kind)| Node { id: place.id(options), at: place.at(options), kind })
+        .map(|(place, kind)| {
+            let ((x, y), (east, north)) = (place.at(options), shape.moved(place));
+            Node { id: place.id(options), at: (x + east, y + north), kind }
+        })
         .collect()
 }
 
-pub(super) fn edges(options: &GridOptions) -> Vec<Edge> {
+pub(super) fn edges(options: &GridOptions, shape: &Shape) -> Vec<Edge> {
     let mut edges = Vec::new();
     let mut push = |from: Place, heading: Heading| {
         let road = if heading.is_street() { &options.streets } else { &options.avenues };
@@ -162,57 +166,68 @@ pub(super) fn edges(options: &GridOptions) -> Vec<Edge> {
         });
     };
     for place in places(options) {
-        for heading in Heading::APPROACHES {
+        for heading in Heading::APPROACHES.into_iter().filter(|&heading| shape.is_open(place, heading)) {
             push(place, heading);
         }
     }
-    for (place, heading) in fringe(options) {
+    for (place, heading) in shape.ends(options) {
         push(place, heading);
     }
     edges
 }
 
-/// The links of a crossing in the order of their letters; all crossings are alike.
+/// The links of a crossing in the order of their letters.
 ///
 /// One lane serves all turns. Of two lanes, the inner one is for left turns alone. From three on the outermost is for
-/// right turns alone as well. Who turns stays on the side of the turn.
-pub(super) fn links(options: &GridOptions) -> Vec<GridLink> {
+/// right turns alone as well. Who turns stays on the side of the turn. Where a road is missing, the lanes of the turn into it
+/// are for those who go straight, or, where nobody can, for left turns.
+pub(super) fn links(options: &GridOptions, shape: &Shape, place: Place) -> Vec<GridLink> {
     let lanes_of = |heading: Heading| {
         if heading.is_street() { options.streets.lanes } else { options.avenues.lanes }
     };
     let mut links = Vec::new();
-    for heading in Heading::APPROACHES {
+    for heading in Heading::APPROACHES.into_iter().filter(|from| shape.is_open(place, from.opposite())) {
+        let leads = |turn| shape.is_open(place, heading.after(turn));
+        let (right, straight, left) = (leads(Turn::Right), leads(Turn::Straight), leads(Turn::Left));
         let innermost = lanes_of(heading) - 1;
         let mut push = |turn, from_lane, to_lane| {
             links.push(GridLink { heading, turn, from_lane, to_lane });
         };
-        push(Turn::Right, 0, 0);
-        let straight = match innermost {
-            0 => 0..=0,
-            1 => 0..=0,
-            _ => 1..=innermost - 1,
-        };
-        for lane in straight {
-            push(Turn::Straight, lane, lane);
+        if right {
+            push(Turn::Right, 0, 0);
         }
-        push(Turn::Left, innermost, lanes_of(heading.after(Turn::Left)) - 1);
+        if straight {
+            let outer = u32::from(right && innermost >= 2);
+            let inner = innermost.saturating_sub(u32::from(left));
+            for lane in outer..=inner {
+                push(Turn::Straight, lane, lane);
+            }
+        }
+        if left {
+            let target = lanes_of(heading.after(Turn::Left)) - 1;
+            // Those from further out keep further out, as long as there are lanes for them.
+            let beside = if straight { 0 } else { innermost.saturating_sub(1).min(target) };
+            for out in (0..=beside).rev() {
+                push(Turn::Left, innermost - out, target - out);
+            }
+        }
     }
     links
 }
 
-pub(super) fn connections(options: &GridOptions) -> Vec<Connection> {
-    let links = links(options);
-    places(options)
-        .flat_map(|place| links.iter().enumerate().map(move |(index, link)| (place, index, *link)))
-        .map(|(place, index, link)| {
+pub(super) fn connections(options: &GridOptions, shape: &Shape) -> Vec<Connection> {
+    let mut connections = Vec::new();
+    for place in places(options) {
+        for (index, link) in links(options, shape, place).into_iter().enumerate() {
             let before = neighbour(place, link.heading.opposite());
-            Connection {
+            connections.push(Connection {
                 from: edge_id(options, before, link.heading),
                 from_lane: link.from_lane as usize,
                 to: edge_id(options, place, link.heading.after(link.turn)),
                 to_lane: link.to_lane as usize,
                 signal: Some((light_id(options, place), index)),
-            }
-        })
-        .collect()
+            });
+        }
+    }
+    connections
 }
