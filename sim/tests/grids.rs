@@ -103,26 +103,27 @@ fn the_varied_grids_are_those_that_are_pinned_and_differ_in_shape() {
 
 #[test]
 fn the_irregular_ones_have_junctions_of_three_arms_and_phases_for_left_turns_alone() {
-    for (number, vehicles, agents, three_arms) in [(5, 1800, 16, 8), (6, 1800, 12, 7)] {
+    for (number, agents, three_arms, protected) in [(5, 16, 8, 16), (6, 12, 7, 9)] {
         let scenario = Scenario::load(&format!("varied{number}")).unwrap();
         let layout = layout(&scenario);
-        assert_eq!((layout.agents(), scenario.vehicles().unwrap()), (agents, vehicles), "varied{number}");
+        assert_eq!((layout.agents(), scenario.vehicles().unwrap()), (agents, 1800), "varied{number}");
         assert!(layout.intersections.iter().all(|at| (3..=4).contains(&at.roads_in.len())));
         let three = layout.intersections.iter().filter(|at| at.roads_in.len() == 3);
         assert_eq!(three.count(), three_arms, "varied{number}");
-        // A phase that lets a shared lane's left turns go and keeps the rest of the lane waiting.
+        // A phase in which nobody goes but some of a lane, the others of the same lane wait, and its left turns are protected:
+        // those who turn left have the last link of their lane.
         let alone = layout.intersections.iter().filter(|at| {
             at.phases.iter().any(|phase| {
-                let of = |lane: usize, green: bool| {
-                    at.movements
-                        .iter()
-                        .zip(&phase.green)
-                        .any(|(link, &state)| link.incoming == lane && (state > 0.0) == green)
+                let last_of_a_shared_lane = |link: usize| {
+                    let lane = at.movements[link].incoming;
+                    let of_lane = |other: usize| at.movements[other].incoming == lane;
+                    (0..link).any(of_lane) && !(link + 1..at.movements.len()).any(of_lane)
                 };
-                (0..at.incoming.len()).any(|lane| of(lane, true) && of(lane, false))
+                let mut goes = (0..at.movements.len()).filter(|&link| phase.green[link] > 0.0);
+                goes.all(|link| last_of_a_shared_lane(link) && phase.green[link] == 1.0)
             })
         });
-        assert_eq!(alone.count(), agents, "varied{number}");
+        assert_eq!(alone.count(), protected, "varied{number}");
     }
 }
 

@@ -129,7 +129,7 @@ proptest! {
     /// Whatever number an option has, the answer is a result, and a refusal names the option.
     #[test]
     fn odd_options_are_refused_with_a_sentence(
-        columns: u32, rows: u32, spacing: f64, fringe: f64, lanes: u32, speed: f64, first in any::<[u32; 4]>(), which in 0..3,
+        columns: u32, rows: u32, spacing: f64, fringe: f64, closed: f64, jitter: f64, lanes: u32, speed: f64, first in any::<[u32; 4]>(), which in 0..3,
     ) {
         let [a, b, c, d] = first;
         let demand = match which {
@@ -140,6 +140,7 @@ proptest! {
         for options in [
             GridOptions { columns, rows, ..GridOptions::default() },
             GridOptions { spacing, fringe, ..GridOptions::default() },
+            GridOptions { closed, jitter, ..GridOptions::default() },
             GridOptions { streets: RoadOptions { lanes, speed }, ..GridOptions::default() },
             GridOptions { demand, ..GridOptions::default() },
         ] {

@@ -220,6 +220,8 @@ mod tests {
             Demand::TwoWave { first_peak: 1, second_peak: 1, slot_seconds: 300, initial_per_lane: 0 };
         refused(GridOptions { demand: two_wave, closed: 0.1, ..GridOptions::default() }, "every road");
         refused(GridOptions { closed: 0.6, ..GridOptions::default() }, "closed");
+        refused(GridOptions { closed: f64::NAN, ..GridOptions::default() }, "closed");
+        refused(GridOptions { jitter: -1.0, ..GridOptions::default() }, "jitter");
         refused(GridOptions { jitter: 51.0, ..GridOptions::default() }, "jitter");
         refused(GridOptions { spacing: f64::NAN, ..GridOptions::default() }, "spacing");
         refused(GridOptions { columns: 0, ..GridOptions::default() }, "columns");

@@ -90,12 +90,13 @@ impl GridOptions {
             whole(&format!("{name}.lanes"), road.lanes, 1..=MAX_LANES)?;
             measure(&format!("{name}.speed"), road.speed, 1.0, 100.0)?;
         }
-        // A junction is as wide as its roads; something must remain between two of them.
-        let widest = 2.0 * f64::from(self.streets.lanes.max(self.avenues.lanes)) * super::LANE_WIDTH;
         measure("closed", self.closed, 0.0, 0.5)?;
         let nominal = self.spacing.min(self.fringe);
-        // A crossing that moved farther could come to lie on another one's road.
+        // Farther, and two roads of a crossing could meet at too sharp an angle.
         measure("jitter", self.jitter, 0.0, nominal / 4.0)?;
+        // A junction is as wide as its roads, and wider where they meet askew; something must remain between two of them.
+        let askew = if self.jitter > 0.0 { 1.5 } else { 1.0 };
+        let widest = askew * 2.0 * f64::from(self.streets.lanes.max(self.avenues.lanes)) * super::LANE_WIDTH;
         let shortest = nominal - 2.0 * self.jitter;
         if shortest < widest + 20.0 {
             return Err(GenerateError::Option {

@@ -180,7 +180,7 @@ pub(super) fn edges(options: &GridOptions, shape: &Shape) -> Vec<Edge> {
 ///
 /// One lane serves all turns. Of two lanes, the inner one is for left turns alone. From three on the outermost is for
 /// right turns alone as well. Who turns stays on the side of the turn. Where a road is missing, the lanes of the turn into it
-/// are for those who go straight, or, where nobody can, for left turns.
+/// are for those who go straight, or, where nobody can, for left turns, as many as lanes lead on; what is left leads nowhere.
 pub(super) fn links(options: &GridOptions, shape: &Shape, place: Place) -> Vec<GridLink> {
     let lanes_of = |heading: Heading| {
         if heading.is_street() { options.streets.lanes } else { options.avenues.lanes }

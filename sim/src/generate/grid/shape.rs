@@ -21,7 +21,7 @@ pub(crate) struct Shape {
 
 impl Shape {
     pub(crate) fn new(options: &GridOptions) -> Self {
-        // A stream of its own, so that the demand is drawn as if the grid were regular.
+        // A stream of its own, so that departures are drawn as if the grid were regular.
         let mut generator = ChaCha8Rng::seed_from_u64(options.seed);
         generator.set_stream(1);
         let mut moved = HashMap::new();

@@ -19,8 +19,8 @@ pub(super) fn programs(options: &GridOptions, shape: &Shape) -> Vec<Program> {
 ///
 /// Where left turns have a lane of their own: both directions' left turns, both directions' other traffic, all of one
 /// direction, all of the other. Where they share one, a phase for left turns holds up those behind them: both directions
-/// together, left turns yielding, and left turns alone only if that is asked for. Where roads are missing, a state that lets nobody go whom another one does not let
-/// go as well is left out.
+/// together, left turns yielding, and left turns alone only if that is asked for. Where roads are missing, a state is left out
+/// if another one lets everybody go whom it lets go.
 fn states(options: &GridOptions, shape: &Shape, place: Place) -> Vec<String> {
     let links = links(options, shape, place);
     let comes = |from: Heading| shape.is_open(place, from.opposite());
