@@ -52,11 +52,11 @@ fn states(options: &GridOptions, shape: &Shape, place: Place) -> Vec<String> {
             push(&|link| if link.heading == heading { 'G' } else { 'r' });
         }
     }
-    without_idle(states)
+    without_idle(&states)
 }
 
 /// The states without those in which nobody has more than in another one; of equal ones the first stays.
-fn without_idle(states: Vec<String>) -> Vec<String> {
+fn without_idle(states: &[String]) -> Vec<String> {
     let right_of_way = |letter| match letter {
         'G' => 2,
         'g' => 1,
@@ -140,7 +140,7 @@ mod tests {
     #[test]
     fn a_state_is_left_out_whose_greens_another_one_has_too() {
         let states = ["Grr", "GGr", "rrG", "rrg", "GGr"].map(str::to_owned).to_vec();
-        assert_eq!(without_idle(states), ["GGr", "rrG"]);
+        assert_eq!(without_idle(&states), ["GGr", "rrG"]);
     }
 
     #[test]
