@@ -13,7 +13,7 @@ mod ppo;
 pub use env::{Detection, EnvConfig};
 pub use error::ConfigError;
 pub use learner::{ActorConfig, ComputeDevice, LearnerConfig, Precision, checkpoint_url};
-pub use model::{Gfe, ModelConfig};
+pub use model::{Gfe, LaneGreen, ModelConfig};
 pub use ppo::{EntropySchedule, PpoConfig, RewardScale, ValueScale};
 
 use serde::{Deserialize, Serialize};
@@ -95,15 +95,22 @@ impl Config {
         })
     }
 
-    /// Parses and validates the JSON form that the learner hands to actors and writes into checkpoints.
+    /// Parses and validates the JSON form that the learner hands to actors and writes into checkpoints. It is written with
+    /// every key, so that one that is missing tells that an older version wrote it: then what that version did holds, and not
+    /// the default of today.
     ///
     /// # Errors
     /// As [`Config::from_toml`].
     pub fn from_json(text: &str, origin: &str) -> Result<Self, ConfigError> {
-        let config: Self = serde_json::from_str(text).map_err(|source| ConfigError::Parse {
+        let parse = |source: serde_json::Error| ConfigError::Parse {
             origin: origin.to_owned(),
             message: source.to_string(),
-        })?;
+        };
+        let mut written: serde_json::Value = serde_json::from_str(text).map_err(parse)?;
+        if let Some(model) = written.get_mut("model") {
+            ModelConfig::name_what_was_done(model);
+        }
+        let config: Self = serde_json::from_value(written).map_err(parse)?;
         config.validate().map_err(|error| error.of(origin))?;
         Ok(config)
     }
@@ -198,6 +205,18 @@ mod tests {
         let config = Config::default();
         assert_eq!(Config::from_toml(&config.to_toml(), "test").unwrap(), config);
         assert_eq!(Config::from_json(&config.to_json(), "test").unwrap(), config);
+    }
+
+    #[test]
+    fn weights_of_an_older_version_keep_what_it_did() {
+        let mut written: serde_json::Value = serde_json::from_str(&Config::default().to_json()).unwrap();
+        written["model"].as_object_mut().unwrap().remove("lane_green");
+        let config = Config::from_json(&written.to_string(), "test").unwrap();
+        assert_eq!(config.model.lane_green, LaneGreen::Strongest);
+        assert_eq!(
+            Config::from_toml("[model]\nhidden = 64\n", "test").unwrap().model.lane_green,
+            LaneGreen::Mean
+        );
     }
 
     #[test]

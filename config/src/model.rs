@@ -13,12 +13,24 @@ pub enum Gfe {
     Movement,
 }
 
+/// What a lane of several movements counts for in a phase that opens some of them, in the form `movement`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LaneGreen {
+    /// As much as the movement with the best right of way.
+    Strongest,
+    /// The mean over the lane's movements, on incoming lanes: whoever waits there wants any of them.
+    Mean,
+}
+
 /// Networks of actor and critic (each has its own weights).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ModelConfig {
     /// Feature extraction: `paper` or `movement`.
     pub gfe: Gfe,
+    /// Weight of a phase's green lanes in its sums: `strongest` or `mean`. `gfe = "paper"` does not use it.
+    pub lane_green: LaneGreen,
     /// Predictive contrastive clustering; without it the router sees the phase features alone.
     pub pcc: bool,
     /// Mixture of experts; without it one dense expert of the same active size.
@@ -50,6 +62,7 @@ impl Default for ModelConfig {
     fn default() -> Self {
         Self {
             gfe: Gfe::Movement,
+            lane_green: LaneGreen::Mean,
             pcc: true,
             moe: true,
             hidden: 128,
@@ -67,6 +80,14 @@ impl Default for ModelConfig {
 }
 
 impl ModelConfig {
+    /// Adds to the JSON form, in which older versions wrote all keys that they had, those that came later, with the values
+    /// that say what those versions did. Their weights would mean something else under the defaults of today.
+    pub fn name_what_was_done(written: &mut serde_json::Value) {
+        if let Some(keys) = written.as_object_mut() {
+            keys.entry("lane_green").or_insert_with(|| "strongest".into());
+        }
+    }
+
     /// Checks that networks can be built of these.
     ///
     /// # Errors

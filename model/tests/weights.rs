@@ -5,7 +5,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test says by failing what went wrong")]
 
-use cross_config::{Config, Gfe};
+use cross_config::{Config, Gfe, LaneGreen};
 use cross_model::features::FeatureSizes;
 use cross_model::net::{Net, Role};
 use rand::SeedableRng;
@@ -130,6 +130,30 @@ fn the_number_of_parameters_is_known_before_they_are_made() {
             );
         }
     }
+}
+
+#[test]
+fn a_file_of_a_version_that_did_not_know_a_key_keeps_what_that_version_did() {
+    let config = Config::default();
+    let mut model = serde_json::to_value(&config.model).unwrap();
+    let described = |model: &serde_json::Value| {
+        let keys = [
+            ("format", "cross-policy".to_owned()),
+            ("format_version", "1".to_owned()),
+            ("policy_version", "1".to_owned()),
+            ("env", serde_json::to_string(&config.env).unwrap()),
+            ("model", model.to_string()),
+        ];
+        let metadata = serde_json::to_string(&std::collections::BTreeMap::from(keys)).unwrap();
+        let nothing = Vec::<(String, safetensors::tensor::TensorView<'_>)>::new();
+        let file = safetensors::serialize(nothing, Some([("cross".to_owned(), metadata)].into())).unwrap();
+        cross_model::snapshot::read_metadata(&file).map(|metadata| metadata.model.lane_green)
+    };
+    assert_eq!(described(&model).unwrap(), LaneGreen::Mean);
+    model.as_object_mut().unwrap().remove("lane_green");
+    assert_eq!(described(&model).unwrap(), LaneGreen::Strongest);
+    model["lane_green"] = "weakest".into();
+    assert!(described(&model).unwrap_err().to_string().contains("weakest"));
 }
 
 #[test]

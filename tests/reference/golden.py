@@ -46,13 +46,13 @@ PPO = {
     "selection_entropy": 0.2, "normalise_advantages": True, "reward_scale": "capacity", "reward_factor": 5.0,
 }
 MODEL = {
-    "gfe": "movement", "pcc": True, "moe": True, "hidden": 12, "latent": 6, "heads": 3, "clusters": 6, "experts": 6,
-    "top_k": 2, "tau_k": 0.3, "tau_c": 0.2, "tau_r": 0.7, "detach_contrastive_target": True,
+    "gfe": "movement", "lane_green": "strongest", "pcc": True, "moe": True, "hidden": 12, "latent": 6, "heads": 3,
+    "clusters": 6, "experts": 6, "top_k": 2, "tau_k": 0.3, "tau_c": 0.2, "tau_r": 0.7, "detach_contrastive_target": True,
 }
 # name: (seed, detection, changes of the model, changes of the algorithm)
 FIXTURES = {
     "paper": (11, "paper", {"gfe": "paper", "hidden": 8, "heads": 2, "latent": 4, "clusters": 5, "experts": 5}, {}),
-    "movement": (22, "default", {}, {}),
+    "movement": (22, "default", {"lane_green": "mean"}, {}),
     "movement_without_pcc": (
         33, "paper", {"pcc": False, "hidden": 8, "heads": 2, "experts": 4, "top_k": 3},
         {"reward_scale": "raw", "reward_factor": 0.3},
@@ -147,17 +147,19 @@ def paper_state(junction, counts, current):
     return state
 
 
-def phase_features(junction, counts, current):
+def phase_features(junction, counts, current, lane_green):
     """Per phase: summed counts of green lanes in and out by band, is it current, green lanes in and out."""
     out = []
     for p, phase in enumerate(junction["phases"]):
         sums, opened = [], []
         for side, base in (("incoming", 0), ("outgoing", len(junction["incoming"]))):
-            strongest = {}
+            of_lane = {}
             for movement, green in zip(junction["movements"], phase["green"]):
-                strongest[movement[side]] = max(strongest.get(movement[side], 0.0), green)
-            sums += list(sum(g * counts[base + lane] / 10 for lane, g in strongest.items()))
-            opened.append(sum(g > 0 for g in strongest.values()) / 8)
+                of_lane.setdefault(movement[side], []).append(green)
+            together = np.mean if side == "incoming" and lane_green == "mean" else max
+            weights = {lane: together(greens) for lane, greens in of_lane.items()}
+            sums += list(sum(g * counts[base + lane] / 10 for lane, g in weights.items()))
+            opened.append(sum(g > 0 for g in weights.values()) / 8)
         out.append(sums + [float(p == current)] + opened)
     return np.array(out)
 
@@ -193,7 +195,7 @@ def agent_inputs(config, layout, agent, episode):
         constant.append("G")
         out["S"] = np.stack([paper_state(junction, c, p) for c, p in zip(own, current)])
     else:
-        real = np.stack([phase_features(junction, c, p) for c, p in zip(own, current)])
+        real = np.stack([phase_features(junction, c, p, config["model"]["lane_green"]) for c, p in zip(own, current)])
         out["context"] = np.concatenate([real.mean(1), real.max(1)], 1)
         out["X"] = pad(real, 1, MAX_PHASES)
         out["lanes"] = pad(np.stack([lane_tokens(junction, c) for c in own]), 1, most_lanes)

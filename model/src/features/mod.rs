@@ -74,7 +74,7 @@ pub struct AgentSpec {
     pub lanes: usize,
     /// First of the agent's lane rows in an observation.
     pub first_lane_row: usize,
-    /// Green of every lane in every phase `[phases, lanes]`: 1, 0.5 permissive, 0.
+    /// Green of every lane in every phase `[phases, lanes]`, 0 to 1, by [`cross_config::LaneGreen`].
     lane_green: Vec<f32>,
     /// Constant features of the lane tokens `[lanes, lane - bands]`.
     lane_constants: Vec<f32>,
@@ -178,7 +178,7 @@ impl AgentSpec {
             incoming,
             lanes: intersection.lanes(),
             first_lane_row,
-            lane_green: movement::lane_green(intersection),
+            lane_green: movement::lane_green(intersection, model.lane_green),
             lane_constants: movement::lane_constants(intersection),
             movements: intersection.movements.iter().map(|m| (m.incoming, incoming + m.outgoing)).collect(),
             phase_state: paper::phase_state(intersection, env.max_movements),

@@ -1,6 +1,7 @@
 //! Features of the `movement` form: what a phase's green lanes hold, in no order.
 
 use super::{AgentSpec, COUNT_SCALE, LENGTH_SCALE, NUMBER_SCALE, Track};
+use cross_config::LaneGreen;
 use cross_sim::layout::Intersection;
 
 /// Features of a phase: summed counts of its green incoming and outgoing lanes per band, whether it is the current
@@ -14,15 +15,25 @@ pub(super) fn lane_features(bands: usize) -> usize {
     bands + 3
 }
 
-/// `[phases, lanes]`: the strongest green that any movement from (incoming) or to (outgoing) the lane has in the phase.
-pub(super) fn lane_green(intersection: &Intersection) -> Vec<f32> {
-    let lanes = intersection.lanes();
+/// `[phases, lanes]`: the strongest green that any movement from (incoming) or to (outgoing) the lane has in the phase; under
+/// [`LaneGreen::Mean`] an incoming lane has the mean over its movements instead.
+///
+/// An outgoing lane keeps the strongest in either: it fills up from whichever movement is open, and that others into it are
+/// closed takes nothing away.
+pub(super) fn lane_green(intersection: &Intersection, weight: LaneGreen) -> Vec<f32> {
+    let (lanes, incoming) = (intersection.lanes(), intersection.incoming.len());
+    let mut movements = vec![0.0f32; incoming];
+    for movement in &intersection.movements {
+        movements[movement.incoming] += 1.0;
+    }
     let mut green = vec![0.0f32; intersection.phases.len() * lanes];
-    for (p, phase) in intersection.phases.iter().enumerate() {
+    for (phase, row) in intersection.phases.iter().zip(green.chunks_exact_mut(lanes.max(1))) {
         for (movement, &value) in intersection.movements.iter().zip(&phase.green) {
-            for lane in [movement.incoming, intersection.incoming.len() + movement.outgoing] {
-                let cell = &mut green[p * lanes + lane];
-                *cell = cell.max(value);
+            let (from, to) = (movement.incoming, incoming + movement.outgoing);
+            row[to] = row[to].max(value);
+            match weight {
+                LaneGreen::Strongest => row[from] = row[from].max(value),
+                LaneGreen::Mean => row[from] += value / movements[from],
             }
         }
     }
@@ -73,5 +84,57 @@ pub(super) fn push(spec: &AgentSpec, bands: usize, counts: &[u16], current: usiz
         let own = &counts[lane * bands..(lane + 1) * bands];
         track.lanes.extend(own.iter().map(|&count| f32::from(count) / COUNT_SCALE));
         track.lanes.extend_from_slice(&spec.lane_constants[lane * 3..(lane + 1) * 3]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::lane_green;
+    use cross_config::LaneGreen;
+    use cross_sim::layout::{Intersection, Lane, Movement, Phase};
+
+    /// A shared lane (left, straight on, right) and a lane for left turns alone, which lead to three lanes out; in phase 0 the
+    /// shared lane may go and left turns give way, phase 1 is for left turns alone.
+    fn shared_lane() -> Intersection {
+        let lane = |id: &str| Lane { id: id.to_owned(), length: 300.0, speed: 13.9 };
+        let movement = |incoming, outgoing| Movement { incoming, outgoing };
+        let phase = |state: &str, green: [f32; 4]| Phase { state: state.to_owned(), green: green.to_vec() };
+        Intersection {
+            id: "j".to_owned(),
+            position: (0.0, 0.0),
+            incoming: vec![lane("shared"), lane("left")],
+            outgoing: vec![lane("west"), lane("north"), lane("east")],
+            movements: vec![movement(0, 0), movement(0, 1), movement(0, 2), movement(1, 0)],
+            phases: vec![phase("gGGg", [0.5, 1.0, 1.0, 0.5]), phase("GrrG", [1.0, 0.0, 0.0, 1.0])],
+            roads_in: Vec::new(),
+            roads_out: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn the_strongest_green_does_not_tell_a_shared_lanes_phases_apart() {
+        let green = lane_green(&shared_lane(), LaneGreen::Strongest);
+        assert_eq!(green, [1.0, 0.5, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn the_mean_tells_how_much_of_a_shared_lane_may_go() {
+        let green = lane_green(&shared_lane(), LaneGreen::Mean);
+        let expected = [2.5 / 3.0, 0.5, 0.5, 1.0, 1.0, 1.0 / 3.0, 1.0, 1.0, 0.0, 0.0];
+        for (have, want) in green.iter().zip(expected) {
+            assert!((have - want).abs() < 1e-6, "{green:?}");
+        }
+    }
+
+    #[test]
+    fn a_lane_of_one_movement_is_the_same_in_both() {
+        let mut intersection = shared_lane();
+        intersection.movements =
+            vec![Movement { incoming: 0, outgoing: 1 }, Movement { incoming: 1, outgoing: 0 }];
+        for phase in &mut intersection.phases {
+            phase.green = vec![phase.green[1], phase.green[3]];
+        }
+        let strongest = lane_green(&intersection, LaneGreen::Strongest);
+        assert_eq!(strongest, lane_green(&intersection, LaneGreen::Mean));
     }
 }
