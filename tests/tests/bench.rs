@@ -58,6 +58,8 @@ fn every_fragment_of_every_actor_is_accepted_and_acknowledged_once() {
     for actors in ["1 actor", "6 actors"] {
         let (ours, bare) = row(&report, &format!("accepted decisions, {actors}"));
         assert!(ours > 0.0 && bare > 0.0, "{ours} {bare}");
+        let (_, keeping) = row(&report, &format!("accepted decisions beside one that keeps, {actors}"));
+        assert!(keeping > 0.0, "{keeping}");
         let (ours, _) = row(&report, &format!("slowest actor over the median one, {actors}"));
         assert!(ours > 0.0, "an actor of {actors} got nothing");
     }

@@ -2,19 +2,21 @@
 //!
 //! ```text
 //!   simulated actors ── recorded fragments ──> cross-learner: decode, check, admit, insert, acknowledge
-//!                  └─── the same, ───────────> bare server: read, acknowledge
+//!                  ├─── the same, ───────────> bare server: read, acknowledge
+//!                  └─── the same, ───────────> bare server: read, keep, acknowledge
 //! ```
 //! Training is paused by `Training.Pause`, and the buffer is configured to hold all that is sent: an accepted fragment is then
 //! one that was checked, inserted and acknowledged, and no update takes processor time or holds actors back. With updates, a
 //! learner takes what these consume and holds the rest back; what that costs in memory is measured after, with the buffer of
-//! the default configuration.
+//! the default configuration. What is kept needs new memory, which the kernel clears; a server that drops what it has read
+//! uses the same pages again and again. So there are two baselines: one drops, and one keeps, as the learner has to.
 
 mod drive;
 mod held;
 mod tally;
 
 use crate::cluster::actor::Peer;
-use crate::cluster::bare::BareServer;
+use crate::cluster::bare::{BareServer, Fragments};
 use crate::cluster::learner::Learner;
 use crate::cluster::recording::Recording;
 use crate::cluster::{self, Setup, client, limits};
@@ -28,6 +30,7 @@ use std::sync::Arc;
 use tally::Figures;
 
 const BARE: &str = "a bare tonic stream";
+const KEEPING: &str = "a bare tonic stream that keeps them";
 const MEGABYTE: f64 = 1e6;
 /// Most bytes of a fragment that an intersection and decision should cost.
 const WIRE_AIM: f64 = 64.0;
@@ -79,9 +82,11 @@ async fn measure(
         let load = Load { actors, seconds: options.seconds, fragments: options.fragments, recording };
         let ours = by_learner(options, &roomy(config, &load), &load).await?;
         progress(&format!("{actors} actors, the learner: {ours}"));
-        let bare = by_bare_server(options, &load).await?;
+        let bare = by_bare_server(options, &load, Fragments::Dropped).await?;
         progress(&format!("{actors} actors, the bare server: {bare}"));
-        compare(actors, &ours, &bare, &mut rows);
+        let keeping = by_bare_server(options, &load, Fragments::Kept).await?;
+        progress(&format!("{actors} actors, the bare server, keeping all: {keeping}"));
+        compare(actors, &ours, (&bare, &keeping), &mut rows);
     }
     if let Some(&most) = options.actors.iter().max() {
         rows.push(held::measure(&options.setup.programs, config, most, recording, progress).await?);
@@ -119,20 +124,33 @@ async fn by_learner(options: &Options, config: &Config, load: &Load<'_>) -> Resu
     Ok(figures)
 }
 
-async fn by_bare_server(options: &Options, load: &Load<'_>) -> Result<Figures, BenchError> {
-    let mut bare = BareServer::start(&options.setup.programs, b"no weights").await?;
+async fn by_bare_server(
+    options: &Options,
+    load: &Load<'_>,
+    fragments: Fragments,
+) -> Result<Figures, BenchError> {
+    let mut bare = BareServer::start(&options.setup.programs, b"no weights", fragments).await?;
     let figures = drive::run(Peer::Bare, &bare.address, bare.server.pid(), load).await;
     bare.server.alive()?;
     figures
 }
 
-fn compare(actors: usize, ours: &Figures, bare: &Figures, rows: &mut Vec<Row>) {
+fn compare(actors: usize, ours: &Figures, (bare, keeping): (&Figures, &Figures), rows: &mut Vec<Row>) {
     let plural = if actors == 1 { "actor" } else { "actors" };
+    let case = |what: &str| format!("{what}, {actors} {plural}");
+    let rate = |f: &Figures| f.decisions_per_second;
+    let beside = (KEEPING, rate(keeping));
+    rows.push(Row::new(
+        case("accepted decisions beside one that keeps"),
+        "1/s",
+        Better::Higher,
+        rate(ours),
+        beside,
+    ));
     let mut row = |what: &str, unit: &str, better, of: fn(&Figures) -> f64| {
-        let case = format!("{what}, {actors} {plural}");
-        rows.push(Row::new(case, unit, better, of(ours), (BARE, of(bare))));
+        rows.push(Row::new(case(what), unit, better, of(ours), (BARE, of(bare))));
     };
-    row("accepted decisions", "1/s", Better::Higher, |f| f.decisions_per_second);
+    row("accepted decisions", "1/s", Better::Higher, rate);
     row("acknowledgement, median", "ms", Better::Lower, |f| f.median_ms);
     row("acknowledgement, 99 of 100", "ms", Better::Lower, |f| f.high_ms);
     row("slowest actor over the median one", "1", Better::Higher, |f| f.fairness);

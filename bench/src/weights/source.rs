@@ -1,7 +1,7 @@
 //! Where new versions come from: a learner that makes an update, or the bare server that is told to.
 
 use crate::cluster::actor::{Actor, Peer};
-use crate::cluster::bare::BareServer;
+use crate::cluster::bare::{BareServer, Fragments};
 use crate::cluster::learner::Learner;
 use crate::cluster::recording::Recording;
 use crate::cluster::{Programs, client};
@@ -52,7 +52,7 @@ impl Source {
 
     /// The bare server, which publishes these bytes under one version after another.
     pub(super) async fn bare(programs: &Programs, snapshot: &[u8]) -> Result<Self, BenchError> {
-        let bare = BareServer::start(programs, snapshot).await?;
+        let bare = BareServer::start(programs, snapshot, Fragments::Dropped).await?;
         let training = client::training(&bare.address).await?;
         Ok(Self { side: Side::Bare(bare), training, version: 1 })
     }

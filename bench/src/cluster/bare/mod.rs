@@ -1,6 +1,7 @@
 //! The baseline: tonic alone. The same settings and messages as the learner's server, and nothing behind them.
 //!
-//! `StreamFragments` reads each message as bytes, without looking into it, and acknowledges it. `WatchWeights` sends the same
+//! `StreamFragments` reads each message as bytes, without looking into it, and acknowledges it; told to, it also keeps them, as
+//! whoever is to learn from them must. `WatchWeights` sends the same
 //! snapshot as messages that tonic encodes for every stream, as a service does that leaves this to tonic. `Training` steers
 //! it: `Resume` publishes the snapshot under the next version; in `GetStatus`, `updates` is how many messages were encoded and
 //! `uptime_seconds` when the newest version was published, Unix time.
@@ -17,7 +18,7 @@ use cross_proto::v1;
 use cross_proto::weights::{Snapshot, split};
 use cross_support::files::replace_file;
 use futures::stream::{BoxStream, StreamExt, unfold};
-use raw::Raw;
+use raw::{Kept, Raw};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -32,6 +33,8 @@ use tonic::{Request, Response, Status, Streaming};
 const ADDRESS: &str = "address";
 /// File in the server's folder with the bytes that are published as weights.
 const SNAPSHOT: &str = "snapshot";
+/// File in the server's folder whose presence has it keep the fragments that come.
+const KEEP: &str = "keep";
 /// As the learner's.
 const CALLS_A_CONNECTION: u32 = 100;
 
@@ -43,12 +46,31 @@ pub(crate) struct BareServer {
     pub(crate) address: String,
 }
 
+/// What the server does with a fragment that it has read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Fragments {
+    /// Nothing: its memory is used again at once.
+    Dropped,
+    /// Keeps it to its end.
+    Kept,
+}
+
 impl BareServer {
     /// Starts one that has these bytes for weights.
-    pub(crate) async fn start(programs: &Programs, snapshot: &[u8]) -> Result<Self, BenchError> {
+    pub(crate) async fn start(
+        programs: &Programs,
+        snapshot: &[u8],
+        fragments: Fragments,
+    ) -> Result<Self, BenchError> {
         let folder = folder()?;
-        let path = folder.path().join(SNAPSHOT);
-        std::fs::write(&path, snapshot).map_err(|source| BenchError::Write { path, source })?;
+        let write = |name: &str, bytes: &[u8]| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, bytes).map_err(|source| BenchError::Write { path, source })
+        };
+        write(SNAPSHOT, snapshot)?;
+        if fragments == Fragments::Kept {
+            write(KEEP, b"")?;
+        }
         let (program, arguments) = &programs.bare;
         let mut arguments = arguments.clone();
         arguments.push(folder.path().into());
@@ -82,12 +104,13 @@ pub fn serve(folder: &Path) -> Result<(), BenchError> {
         let config = Config::default().learner;
         let keepalive = Duration::from_secs(config.lease_seconds).div_f64(3.0);
         let bare = Bare::new(snapshot.into());
+        let kept = folder.join(KEEP).exists().then(Kept::default);
         let learner = LearnerServer::new(bare.clone()).max_encoding_message_size(config.max_message_bytes);
         Tonic::builder()
             .http2_keepalive_interval(Some(keepalive))
             .http2_keepalive_timeout(Some(keepalive))
             .max_concurrent_streams(CALLS_A_CONNECTION)
-            .add_service(Raw::new(learner, config.max_message_bytes))
+            .add_service(Raw::new(learner, config.max_message_bytes, kept))
             .add_service(TrainingServer::new(bare))
             .serve_with_incoming(incoming)
             .await

@@ -8,6 +8,7 @@ use futures::StreamExt;
 use std::convert::Infallible;
 use std::future::Future;
 use std::pin::Pin;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll};
 use tonic::body::Body;
 use tonic::codec::{Codec, DecodeBuf, Decoder};
@@ -16,6 +17,9 @@ use tonic::server::{Grpc, NamedService, StreamingService};
 use tonic::{Request, Response, Status, Streaming};
 use tonic_prost::ProstCodec;
 
+/// All that came, of all streams.
+pub(super) type Kept = Arc<Mutex<Vec<Bytes>>>;
+
 const STREAM_FRAGMENTS: &str = "/cross.v1.Learner/StreamFragments";
 
 /// Takes fragments as bytes, and leaves the other calls to the generated server.
@@ -23,11 +27,13 @@ const STREAM_FRAGMENTS: &str = "/cross.v1.Learner/StreamFragments";
 pub(super) struct Raw {
     rest: LearnerServer<Bare>,
     message_bytes: usize,
+    kept: Option<Kept>,
 }
 
 impl Raw {
-    pub(super) fn new(rest: LearnerServer<Bare>, message_bytes: usize) -> Self {
-        Self { rest, message_bytes }
+    /// Messages of at most `message_bytes`, which go to `kept` where there is one.
+    pub(super) fn new(rest: LearnerServer<Bare>, message_bytes: usize, kept: Option<Kept>) -> Self {
+        Self { rest, message_bytes, kept }
     }
 }
 
@@ -49,15 +55,18 @@ impl Service<http::Request<Body>> for Raw {
             return Box::pin(self.rest.call(request));
         }
         let limit = Some(self.message_bytes);
+        let acknowledge = Acknowledge { kept: self.kept.clone() };
         Box::pin(async move {
             let mut grpc = Grpc::new(BytesCodec).apply_max_message_size_config(limit, limit);
-            Ok(grpc.streaming(Acknowledge, request).await)
+            Ok(grpc.streaming(acknowledge, request).await)
         })
     }
 }
 
 /// Acknowledges each message after the first, which is a hello.
-struct Acknowledge;
+struct Acknowledge {
+    kept: Option<Kept>,
+}
 
 impl StreamingService<Bytes> for Acknowledge {
     type Response = v1::StreamFragmentsResponse;
@@ -65,8 +74,13 @@ impl StreamingService<Bytes> for Acknowledge {
     type Future = std::future::Ready<Result<Response<Self::ResponseStream>, Status>>;
 
     fn call(&mut self, request: Request<Streaming<Bytes>>) -> Self::Future {
-        let answers = request.into_inner().skip(1).map(|message| {
-            message.map(|_| {
+        let kept = self.kept.clone();
+        let answers = request.into_inner().skip(1).map(move |message| {
+            message.map(|bytes| {
+                if let Some(kept) = &kept {
+                    // Nothing between taking it and giving it back can panic.
+                    kept.lock().unwrap_or_else(PoisonError::into_inner).push(bytes);
+                }
                 let ack = v1::Ack { outcome: v1::Outcome::Accepted.into(), ..v1::Ack::default() };
                 v1::StreamFragmentsResponse { message: Some(Message::Ack(ack)) }
             })

@@ -15,7 +15,7 @@ use cross_bench::{Progress, Report, ingest};
 /// line here what memory it costs with the default buffer.
 ///
 /// The baseline is a server of the same settings in a process of its own, which reads each message as bytes and acknowledges
-/// it. The clients are the same, and run on the same cores: on a small machine they take most of the time on both sides, and
+/// it; a second one also keeps it, as the learner has to, in memory that the kernel clears first. The clients are the same, and run on the same cores: on a small machine they take most of the time on both sides, and
 /// `server, CPU of a fragment` tells the servers apart.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -27,6 +27,7 @@ Examples:
 
 How to read it:
   accepted decisions          of all intersections together; at least half of the bare stream is the aim
+  beside one that keeps       the same rate beside a bare stream that, like the learner here, keeps every message
   acknowledgement             from handing a fragment to its stream until the word comes back. Actors never pause here, so
                               that with many of them this is the length of the queue: two fragments each
   slowest over the median     1 is fair; an actor that got nothing would make it 0; at least 0.5 is the aim
