@@ -13,14 +13,14 @@ IN_ENV := . .deps/environment.sh && unset CARGO_BUILD_TARGET && export CARGO_BUI
 IN_TARGET := --target-dir '$(TARGET)'
 
 .DEFAULT_GOAL := help
-.PHONY: help setup build train baselines results test test-setup fuzz faults soak images verify fix clean distclean
+.PHONY: help setup build train baselines results towns test test-setup fuzz faults soak images verify fix clean distclean
 
 help: ## Show this list
 	@echo 'Two commands:  make train   and   make test'
 	@echo
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1|\2/p' Makefile | awk -F'|' '{ printf "%-18s %s\n", $$1, $$2 }'
 	@echo
-	@echo '  ARGS="..."         options passed on by train, baselines, results, faults and soak, as in: make train ARGS="--updates 500 --scenario grid4x4"'
+	@echo '  ARGS="..."         options passed on by train, baselines, results, towns, faults and soak, as in: make train ARGS="--updates 500 --scenario grid4x4"'
 	@echo '  CROSS_TORCH=cuda   set up libtorch with its CUDA libraries instead of the CPU ones'
 	@echo '  CROSS_CACHE=DIR    keep downloaded wheels in DIR, for other checkouts'
 
@@ -41,6 +41,9 @@ baselines: build ## Evaluate the rules on the eight scenarios and write docs/bas
 
 results: build ## Evaluate pretrained/default beside the rules and write docs/results.md (an hour of CPU time; resumable)
 	@$(IN_ENV) exec '$(TARGET)/release/cross' results --policy pretrained/default --markdown docs/results.md --pictures docs/images/results $(ARGS)
+
+towns: build ## The same on RESCO's six maps of real towns: docs/towns.md (a quarter of an hour of CPU time; resumable)
+	@$(IN_ENV) exec '$(TARGET)/release/cross' results $(addprefix --scenario ,cologne1 cologne3 cologne8 ingolstadt1 ingolstadt7 ingolstadt21) --policy pretrained/default --markdown docs/towns.md --pictures docs/images/towns $(ARGS)
 
 test: build test-setup ## Every test: set-up, documentation, units, and whole clusters with real SUMO
 	@$(IN_ENV) $(CARGO) test $(IN_TARGET) --release --workspace
