@@ -95,22 +95,32 @@ impl Config {
         })
     }
 
-    /// Parses and validates the JSON form that the learner hands to actors and writes into checkpoints. It is written with
-    /// every key, so that one that is missing tells that an older version wrote it: then what that version did holds, and not
-    /// the default of today.
+    /// Reads and validates the file that a run keeps of its configuration. It has every key that the version which began the
+    /// run knew; see [`ModelConfig::complete_older`] for what holds where one is missing.
+    ///
+    /// # Errors
+    /// As [`Config::from_file`].
+    pub fn from_run(path: &Path) -> Result<Self, ConfigError> {
+        let text = read(path)?;
+        let mut config = Self::from_toml(&text, &path.display().to_string())?;
+        let written: toml::Table = toml::from_str(&text).unwrap_or_default();
+        let model = written.get("model").and_then(toml::Value::as_table);
+        config.model.complete_older(|key| model.is_some_and(|model| model.contains_key(key)));
+        Ok(config)
+    }
+
+    /// Parses and validates the JSON form that the learner hands to actors and writes into checkpoints. It has every key that
+    /// its version knew; see [`ModelConfig::complete_older`] for what holds where one is missing.
     ///
     /// # Errors
     /// As [`Config::from_toml`].
     pub fn from_json(text: &str, origin: &str) -> Result<Self, ConfigError> {
-        let parse = |source: serde_json::Error| ConfigError::Parse {
+        let mut config: Self = serde_json::from_str(text).map_err(|source| ConfigError::Parse {
             origin: origin.to_owned(),
             message: source.to_string(),
-        };
-        let mut written: serde_json::Value = serde_json::from_str(text).map_err(parse)?;
-        if let Some(model) = written.get_mut("model") {
-            ModelConfig::name_what_was_done(model);
-        }
-        let config: Self = serde_json::from_value(written).map_err(parse)?;
+        })?;
+        let written: serde_json::Value = serde_json::from_str(text).unwrap_or_default();
+        config.model.complete_older(|key| written["model"].get(key).is_some());
         config.validate().map_err(|error| error.of(origin))?;
         Ok(config)
     }
@@ -136,7 +146,9 @@ impl Config {
     #[must_use]
     pub fn compatibility_hash(&self) -> String {
         // As above.
-        let json = serde_json::to_vec(&(&self.env, &self.model)).expect("a configuration serialises");
+        let json = serde_json::to_string(&(&self.env, &self.model)).expect("a configuration serialises");
+        // Before there was this key, this was what it says now: runs that were begun then can go on.
+        let json = json.replace(r#""lane_green":"strongest","#, "");
         hex::encode(&Sha256::digest(json)[..8])
     }
 
@@ -213,10 +225,30 @@ mod tests {
         written["model"].as_object_mut().unwrap().remove("lane_green");
         let config = Config::from_json(&written.to_string(), "test").unwrap();
         assert_eq!(config.model.lane_green, LaneGreen::Strongest);
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("config.toml");
+        let text = config.to_toml();
+        std::fs::write(&file, text.replace("lane_green = \"strongest\"\n", "")).unwrap();
+        assert_eq!(Config::from_run(&file).unwrap(), config);
+        assert_eq!(Config::from_file(&file).unwrap().model.lane_green, LaneGreen::Mean);
+        std::fs::write(&file, text.replace("strongest", "mean")).unwrap();
+        assert_eq!(Config::from_run(&file).unwrap().model.lane_green, LaneGreen::Mean);
         assert_eq!(
             Config::from_toml("[model]\nhidden = 64\n", "test").unwrap().model.lane_green,
             LaneGreen::Mean
         );
+    }
+
+    #[test]
+    fn a_run_that_was_begun_before_the_key_existed_goes_on() {
+        let mut config = Config::default();
+        config.env.detection = Detection::Fine;
+        (config.env.reward_range_metres, config.env.reward_beyond) = (50.0, 0.6);
+        config.model.lane_green = LaneGreen::Strongest;
+        // As the policy `seven` (docs/experiments.md) has it, which is of such a version.
+        assert_eq!(config.compatibility_hash(), "9203c7fc0e75e450");
+        config.model.lane_green = LaneGreen::Mean;
+        assert_ne!(config.compatibility_hash(), "9203c7fc0e75e450");
     }
 
     #[test]

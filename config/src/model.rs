@@ -80,11 +80,12 @@ impl Default for ModelConfig {
 }
 
 impl ModelConfig {
-    /// Adds to the JSON form, in which older versions wrote all keys that they had, those that came later, with the values
-    /// that say what those versions did. Their weights would mean something else under the defaults of today.
-    pub fn name_what_was_done(written: &mut serde_json::Value) {
-        if let Some(keys) = written.as_object_mut() {
-            keys.entry("lane_green").or_insert_with(|| "strongest".into());
+    /// Corrects what was parsed from text that a program wrote, with every key that it knew; `has` tells whether the text has
+    /// a key. For one that came later this sets what versions without it did: their weights would mean something else under
+    /// the default of today.
+    pub fn complete_older(&mut self, has: impl Fn(&str) -> bool) {
+        if !has("lane_green") {
+            self.lane_green = LaneGreen::Strongest;
         }
     }
 

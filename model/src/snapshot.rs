@@ -179,10 +179,9 @@ pub fn write_policy(actor: &Net, critic: &Net, metadata: &PolicyMetadata) -> Res
 /// As [`File::read`] and [`File::value`]; [`ModelError::Foreign`] also for values that a configuration may not have.
 pub fn read_metadata(bytes: &[u8]) -> Result<PolicyMetadata, ModelError> {
     let file = File::read(bytes, POLICY_FORMAT, "policy")?;
-    let (env, mut model): (EnvConfig, serde_json::Value) = (file.json("env")?, file.json("model")?);
-    ModelConfig::name_what_was_done(&mut model);
-    let model: ModelConfig =
-        serde_json::from_value(model).map_err(|error| file.foreign(format!("the key model: {error}")))?;
+    let (env, mut model): (EnvConfig, ModelConfig) = (file.json("env")?, file.json("model")?);
+    let written: serde_json::Value = file.json("model")?;
+    model.complete_older(|key| written.get(key).is_some());
     env.validate().and_then(|()| model.validate()).map_err(|error| file.foreign(error.to_string()))?;
     Ok(PolicyMetadata { policy_version: file.value("policy_version")?, env, model })
 }

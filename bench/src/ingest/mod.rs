@@ -132,29 +132,41 @@ async fn by_bare_server(
     let mut bare = BareServer::start(&options.setup.programs, b"no weights", fragments).await?;
     let figures = drive::run(Peer::Bare, &bare.address, bare.server.pid(), load).await;
     bare.server.alive()?;
-    figures
+    let figures = figures?;
+    if fragments == Fragments::Kept {
+        let mut training = client::training(&bare.address).await?;
+        let status =
+            training.get_status(v1::GetStatusRequest {}).await.map_err(client::failed("GetStatus"))?;
+        let counted = status.into_inner().status.map_or(0, |status| status.episodes);
+        if counted != figures.acknowledged {
+            return Err(BenchError::Miscounted {
+                sent: figures.sent,
+                acknowledged: figures.acknowledged,
+                counted,
+            });
+        }
+    }
+    Ok(figures)
 }
 
 fn compare(actors: usize, ours: &Figures, (bare, keeping): (&Figures, &Figures), rows: &mut Vec<Row>) {
     let plural = if actors == 1 { "actor" } else { "actors" };
     let case = |what: &str| format!("{what}, {actors} {plural}");
-    let rate = |f: &Figures| f.decisions_per_second;
-    let beside = (KEEPING, rate(keeping));
-    rows.push(Row::new(
-        case("accepted decisions beside one that keeps"),
-        "1/s",
-        Better::Higher,
-        rate(ours),
-        beside,
-    ));
     let mut row = |what: &str, unit: &str, better, of: fn(&Figures) -> f64| {
         rows.push(Row::new(case(what), unit, better, of(ours), (BARE, of(bare))));
     };
-    row("accepted decisions", "1/s", Better::Higher, rate);
+    row("accepted decisions", "1/s", Better::Higher, |f| f.decisions_per_second);
     row("acknowledgement, median", "ms", Better::Lower, |f| f.median_ms);
     row("acknowledgement, 99 of 100", "ms", Better::Lower, |f| f.high_ms);
     row("slowest actor over the median one", "1", Better::Higher, |f| f.fairness);
     row("server, CPU of a fragment", "us", Better::Lower, |f| f.cpu_us);
     row("server, memory at rest", "MB", Better::Lower, |f| f.rest as f64 / MEGABYTE);
+    row("server, peak memory", "MB", Better::Lower, |f| f.peak as f64 / MEGABYTE);
+    let mut row = |what: &str, unit: &str, better, of: fn(&Figures) -> f64| {
+        let case = case(&format!("{what} beside one that keeps"));
+        rows.push(Row::new(case, unit, better, of(ours), (KEEPING, of(keeping))));
+    };
+    row("accepted decisions", "1/s", Better::Higher, |f| f.decisions_per_second);
+    row("server, CPU of a fragment", "us", Better::Lower, |f| f.cpu_us);
     row("server, peak memory", "MB", Better::Lower, |f| f.peak as f64 / MEGABYTE);
 }

@@ -173,14 +173,14 @@ impl Train {
     fn resolve(&self, existing: Option<&RunDir>) -> Outcome<Config> {
         let mut config = match (&self.config, existing) {
             (Some(file), _) => Config::from_file(file).or_bad_input()?,
-            (None, Some(run)) if run.config().exists() => Config::from_file(&run.config()).or_bad_input()?,
+            (None, Some(run)) if run.config().exists() => Config::from_run(&run.config()).or_bad_input()?,
             (None, Some(run)) if self.checkpoints.is_some() => {
                 return Err(Failure::input(format!(
                     "{} has no config.toml to go on with; name the run's configuration with --config",
                     run.path().display()
                 )));
             }
-            (None, Some(run)) => Config::from_file(&run.config()).or_bad_input()?,
+            (None, Some(run)) => Config::from_run(&run.config()).or_bad_input()?,
             (None, None) => Config::default(),
         };
         if !self.scenarios.is_empty() {

@@ -107,7 +107,7 @@ impl Run {
         let settings = text(&path.join(CONFIG))?.unwrap_or_default();
         let config = match settings.as_str() {
             "" => None,
-            _ => Some(Config::from_file(&path.join(CONFIG)).or_bad_input()?),
+            _ => Some(Config::from_run(&path.join(CONFIG)).or_bad_input()?),
         };
         let metrics = path.join(metrics_log::FILE);
         let lines = text(&metrics)?.map_or(Ok(Vec::new()), |text| lines(&metrics, &text))?;

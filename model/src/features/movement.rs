@@ -33,7 +33,12 @@ pub(super) fn lane_green(intersection: &Intersection, weight: LaneGreen) -> Vec<
             row[to] = row[to].max(value);
             match weight {
                 LaneGreen::Strongest => row[from] = row[from].max(value),
-                LaneGreen::Mean => row[from] += value / movements[from],
+                LaneGreen::Mean => row[from] += value,
+            }
+        }
+        if weight == LaneGreen::Mean {
+            for (sum, &of) in row.iter_mut().zip(&movements) {
+                *sum /= of.max(1.0);
             }
         }
     }

@@ -1,7 +1,7 @@
 //! The baseline: tonic alone. The same settings and messages as the learner's server, and nothing behind them.
 //!
 //! `StreamFragments` reads each message as bytes, without looking into it, and acknowledges it; told to, it also keeps them, as
-//! whoever is to learn from them must. `WatchWeights` sends the same
+//! whoever is to learn from them must, and `episodes` of `GetStatus` is how many it has. `WatchWeights` sends the same
 //! snapshot as messages that tonic encodes for every stream, as a service does that leaves this to tonic. `Training` steers
 //! it: `Resume` publishes the snapshot under the next version; in `GetStatus`, `updates` is how many messages were encoded and
 //! `uptime_seconds` when the newest version was published, Unix time.
@@ -51,7 +51,7 @@ pub(crate) struct BareServer {
 pub(crate) enum Fragments {
     /// Nothing: its memory is used again at once.
     Dropped,
-    /// Keeps it to its end.
+    /// Kept until the server ends.
     Kept,
 }
 
@@ -103,8 +103,8 @@ pub fn serve(folder: &Path) -> Result<(), BenchError> {
         });
         let config = Config::default().learner;
         let keepalive = Duration::from_secs(config.lease_seconds).div_f64(3.0);
-        let bare = Bare::new(snapshot.into());
         let kept = folder.join(KEEP).exists().then(Kept::default);
+        let bare = Bare::new(snapshot.into(), kept.clone());
         let learner = LearnerServer::new(bare.clone()).max_encoding_message_size(config.max_message_bytes);
         Tonic::builder()
             .http2_keepalive_interval(Some(keepalive))
@@ -127,12 +127,13 @@ struct Bare {
     encoded: Arc<AtomicU64>,
     /// When the newest was published, microseconds since 1970.
     published: Arc<AtomicU64>,
+    kept: Option<Kept>,
 }
 
 impl Bare {
-    fn new(snapshot: Bytes) -> Self {
+    fn new(snapshot: Bytes, kept: Option<Kept>) -> Self {
         let newest = watch::channel(Arc::new(cut(1, &snapshot))).0;
-        Self { snapshot, newest, encoded: Arc::default(), published: Arc::default() }
+        Self { snapshot, newest, encoded: Arc::default(), published: Arc::default(), kept }
     }
 }
 
@@ -197,6 +198,7 @@ impl Training for Bare {
         let status = v1::TrainingStatus {
             policy_version: version,
             updates: self.encoded.load(Ordering::Relaxed),
+            episodes: self.kept.as_ref().map_or(0, raw::kept),
             uptime_seconds: self.published.load(Ordering::Relaxed) as f64 / 1e6,
             ..v1::TrainingStatus::default()
         };

@@ -17,8 +17,13 @@ use tonic::server::{Grpc, NamedService, StreamingService};
 use tonic::{Request, Response, Status, Streaming};
 use tonic_prost::ProstCodec;
 
-/// All that came, of all streams.
+/// All that came, of all streams. What each holds is its part of what its stream received, which tonic does not copy.
 pub(super) type Kept = Arc<Mutex<Vec<Bytes>>>;
+
+/// How many there are.
+pub(super) fn kept(kept: &Kept) -> u64 {
+    kept.lock().unwrap_or_else(PoisonError::into_inner).len() as u64
+}
 
 const STREAM_FRAGMENTS: &str = "/cross.v1.Learner/StreamFragments";
 

@@ -26,8 +26,8 @@ Examples:
   cross bench ingest --json > ingest.json
 
 How to read it:
-  accepted decisions          of all intersections together; at least half of the bare stream is the aim
-  beside one that keeps       the same rate beside a bare stream that, like the learner here, keeps every message
+  accepted decisions          of all intersections together; at least half of the bare stream that drops is the aim
+  ... beside one that keeps   the same beside a bare stream that, like the learner here, keeps every message
   acknowledgement             from handing a fragment to its stream until the word comes back. Actors never pause here, so
                               that with many of them this is the length of the queue: two fragments each
   slowest over the median     1 is fair; an actor that got nothing would make it 0; at least 0.5 is the aim
