@@ -7,9 +7,10 @@
 //!   snapshot bytes     <── weights ──────────┤   chunks and their reassembly
 //!   reasons, fields    <── status ───────────┘   errors with google.rpc details
 //! ```
-//! The generated code is committed, so that nobody needs a `protoc`; `tests/bootstrap.rs` keeps it equal to the schema.
+//! [`codec`] is prost's encoding, read with less bookkeeping. The generated code is committed, so that nobody needs a `protoc`; `tests/bootstrap.rs` keeps it equal to the schema.
 //! `docs/protocol.md` tells how the messages follow each other.
 
+pub mod codec;
 pub mod fragment;
 pub mod ids;
 pub mod packing;

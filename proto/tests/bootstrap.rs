@@ -22,6 +22,7 @@ fn generate() -> BTreeMap<String, Vec<u8>> {
         .bytes(".")
         // Ordered, so that equal messages have equal bytes.
         .btree_map(".")
+        .codec_path("crate::codec::MessageCodec")
         .emit_rerun_if_changed(false)
         .compile_fds(descriptors.clone())
         .unwrap();
