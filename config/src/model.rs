@@ -19,7 +19,8 @@ pub enum Gfe {
 pub enum LaneGreen {
     /// As much as the movement with the best right of way.
     Strongest,
-    /// The mean over the lane's movements, on incoming lanes: whoever waits there wants any of them.
+    /// The mean over the lane's movements, on incoming lanes: whoever waits there wants any of them, but for turning round, which
+    /// counts only on a lane for nothing else.
     Mean,
 }
 

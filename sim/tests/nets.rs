@@ -108,6 +108,21 @@ fn pedestrian_crossings_are_links_without_movement() {
 }
 
 #[test]
+fn links_for_turning_round_are_told_apart_and_other_layouts_keep_their_hash() {
+    let programs = program("J", "0", &["Gr", "rG"]);
+    let onwards = layout(&net(2, 2, &programs, &two_links())).unwrap();
+    assert!(onwards.intersections[0].movements.iter().all(|movement| !movement.turnaround));
+    // As before there was the field.
+    assert!(!serde_json::to_string(&onwards).unwrap().contains("turnaround"));
+    let links = link("J", 0, 0, 0) + &link("J", 1, 1, 1).replace("dir=\"s\"", "dir=\"t\"");
+    let round = layout(&net(2, 2, &programs, &links)).unwrap();
+    let told: Vec<bool> =
+        round.intersections[0].movements.iter().map(|movement| movement.turnaround).collect();
+    assert_eq!(told, [false, true]);
+    assert_ne!(round.hash(), onwards.hash());
+}
+
+#[test]
 fn lights_without_a_choice_keep_their_program() {
     let programs = program("J", "0", &["Gr", "rG"])
         + &program("always", "0", &["G"])

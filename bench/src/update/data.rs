@@ -81,9 +81,8 @@ fn intersection(number: usize, shape: &Shape) -> Intersection {
         lanes: shape.lanes.div_ceil(4),
         movements: shape.movements.div_ceil(4),
     };
-    let movements = (0..shape.movements)
-        .map(|m| Movement { incoming: m % shape.lanes, outgoing: (m / 2) % shape.lanes })
-        .collect();
+    let movements =
+        (0..shape.movements).map(|m| Movement::new(m % shape.lanes, (m / 2) % shape.lanes)).collect();
     let phases = (0..shape.phases)
         .map(|p| {
             let green = (0..shape.movements).map(|m| match (m % shape.phases == p, (m + p) % 7 == 0) {

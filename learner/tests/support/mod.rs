@@ -52,7 +52,7 @@ fn intersection(id: &str, lanes: usize) -> Intersection {
         position: (0.0, 0.0),
         incoming: (0..lanes).map(|i| lane("in", i)).collect(),
         outgoing: (0..lanes).map(|i| lane("out", i)).collect(),
-        movements: (0..lanes).map(|i| Movement { incoming: i, outgoing: i }).collect(),
+        movements: (0..lanes).map(|i| Movement::new(i, i)).collect(),
         phases: (0..lanes).map(phase).collect(),
         roads_in: (0..lanes).map(|i| road("in", i)).collect(),
         roads_out: (0..lanes).map(|i| road("out", i)).collect(),

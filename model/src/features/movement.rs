@@ -2,7 +2,7 @@
 
 use super::{AgentSpec, COUNT_SCALE, LENGTH_SCALE, NUMBER_SCALE, Track};
 use cross_config::LaneGreen;
-use cross_sim::layout::Intersection;
+use cross_sim::layout::{Intersection, Movement};
 
 /// Features of a phase: summed counts of its green incoming and outgoing lanes per band, whether it is the current
 /// phase, and how many green lanes lead in and out.
@@ -16,14 +16,18 @@ pub(super) fn lane_features(bands: usize) -> usize {
 }
 
 /// `[phases, lanes]`: the strongest green that any movement from (incoming) or to (outgoing) the lane has in the phase; under
-/// [`LaneGreen::Mean`] an incoming lane has the mean over its movements instead.
+/// [`LaneGreen::Mean`] an incoming lane has the mean over its movements instead, those for turning round left out where there
+/// are others: hardly anybody waits for them, and they are open in phases for left turns.
 ///
 /// An outgoing lane keeps the strongest in either: it fills up from whichever movement is open, and that others into it are
 /// closed takes nothing away.
 pub(super) fn lane_green(intersection: &Intersection, weight: LaneGreen) -> Vec<f32> {
     let (lanes, incoming) = (intersection.lanes(), intersection.incoming.len());
+    let only_round = |lane| intersection.movements.iter().all(|m| m.turnaround || m.incoming != lane);
+    let only_round: Vec<bool> = (0..incoming).map(only_round).collect();
+    let counts = |movement: &Movement| !movement.turnaround || only_round[movement.incoming];
     let mut movements = vec![0.0f32; incoming];
-    for movement in &intersection.movements {
+    for movement in intersection.movements.iter().filter(|movement| counts(movement)) {
         movements[movement.incoming] += 1.0;
     }
     let mut green = vec![0.0f32; intersection.phases.len() * lanes];
@@ -33,7 +37,8 @@ pub(super) fn lane_green(intersection: &Intersection, weight: LaneGreen) -> Vec<
             row[to] = row[to].max(value);
             match weight {
                 LaneGreen::Strongest => row[from] = row[from].max(value),
-                LaneGreen::Mean => row[from] += value,
+                LaneGreen::Mean if counts(movement) => row[from] += value,
+                LaneGreen::Mean => {}
             }
         }
         if weight == LaneGreen::Mean {
@@ -94,22 +99,21 @@ pub(super) fn push(spec: &AgentSpec, bands: usize, counts: &[u16], current: usiz
 
 #[cfg(test)]
 mod tests {
-    use super::lane_green;
+    use super::{Intersection, Movement, lane_green};
     use cross_config::LaneGreen;
-    use cross_sim::layout::{Intersection, Lane, Movement, Phase};
+    use cross_sim::layout::{Lane, Phase};
 
     /// A shared lane (left, straight on, right) and a lane for left turns alone, which lead to three lanes out; in phase 0 the
     /// shared lane may go and left turns give way, phase 1 is for left turns alone.
     fn shared_lane() -> Intersection {
         let lane = |id: &str| Lane { id: id.to_owned(), length: 300.0, speed: 13.9 };
-        let movement = |incoming, outgoing| Movement { incoming, outgoing };
         let phase = |state: &str, green: [f32; 4]| Phase { state: state.to_owned(), green: green.to_vec() };
         Intersection {
             id: "j".to_owned(),
             position: (0.0, 0.0),
             incoming: vec![lane("shared"), lane("left")],
             outgoing: vec![lane("west"), lane("north"), lane("east")],
-            movements: vec![movement(0, 0), movement(0, 1), movement(0, 2), movement(1, 0)],
+            movements: [(0, 0), (0, 1), (0, 2), (1, 0)].map(|(from, to)| Movement::new(from, to)).into(),
             phases: vec![phase("gGGg", [0.5, 1.0, 1.0, 0.5]), phase("GrrG", [1.0, 0.0, 0.0, 1.0])],
             roads_in: Vec::new(),
             roads_out: Vec::new(),
@@ -132,10 +136,22 @@ mod tests {
     }
 
     #[test]
+    fn turning_round_counts_only_where_there_is_nothing_else() {
+        let without = lane_green(&shared_lane(), LaneGreen::Mean);
+        let mut intersection = shared_lane();
+        // From the shared lane back to the west, with the left turns; the lane for left turns becomes one for turning round.
+        intersection.movements.push(Movement { turnaround: true, ..Movement::new(0, 0) });
+        intersection.movements[3].turnaround = true;
+        for (phase, green) in intersection.phases.iter_mut().zip([0.5, 1.0]) {
+            phase.green.push(green);
+        }
+        assert_eq!(lane_green(&intersection, LaneGreen::Mean), without);
+    }
+
+    #[test]
     fn a_lane_of_one_movement_is_the_same_in_both() {
         let mut intersection = shared_lane();
-        intersection.movements =
-            vec![Movement { incoming: 0, outgoing: 1 }, Movement { incoming: 1, outgoing: 0 }];
+        intersection.movements = vec![Movement::new(0, 1), Movement::new(1, 0)];
         for phase in &mut intersection.phases {
             phase.green = vec![phase.green[1], phase.green[3]];
         }

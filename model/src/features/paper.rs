@@ -57,7 +57,7 @@ mod tests {
                 position: (0.0, 0.0),
                 incoming: vec![lane("in")],
                 outgoing: vec![lane("out")],
-                movements: vec![Movement { incoming: 0, outgoing: 0 }],
+                movements: vec![Movement::new(0, 0)],
                 phases: vec![phase("r", 0.0), phase("G", 1.0)],
                 roads_in: vec![road("a")],
                 roads_out: vec![road("b")],

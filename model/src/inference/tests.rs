@@ -24,7 +24,7 @@ fn intersection(phases: usize, lanes: usize) -> Intersection {
         position: (0.0, 0.0),
         incoming: (0..lanes).map(|i| lane("in", i)).collect(),
         outgoing: (0..outgoing).map(|i| lane("out", i)).collect(),
-        movements: (0..lanes).map(|i| Movement { incoming: i, outgoing: i % outgoing }).collect(),
+        movements: (0..lanes).map(|i| Movement::new(i, i % outgoing)).collect(),
         phases: (0..phases)
             .map(|p| {
                 let green: Vec<f32> = (0..lanes).map(|i| [1.0, 0.0, 0.5, 0.0][(i + p) % 4]).collect();

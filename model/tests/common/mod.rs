@@ -35,7 +35,7 @@ pub fn intersection(id: &str, phases: usize, lanes: usize) -> Intersection {
         position: (0.0, 0.0),
         incoming: (0..count).map(|i| lane("in", i)).collect(),
         outgoing: (0..count).map(|i| lane("out", i)).collect(),
-        movements: (0..count).map(|i| Movement { incoming: i, outgoing: i }).collect(),
+        movements: (0..count).map(|i| Movement::new(i, i)).collect(),
         phases: (0..phases)
             .map(|p| Phase {
                 state: (0..count).map(|i| if i / lanes == p { 'G' } else { 'r' }).collect(),

@@ -254,11 +254,7 @@ impl From<JunctionJson> for Intersection {
             position: json.position,
             incoming: lanes(json.incoming),
             outgoing: lanes(json.outgoing),
-            movements: json
-                .movements
-                .into_iter()
-                .map(|m| Movement { incoming: m.incoming, outgoing: m.outgoing })
-                .collect(),
+            movements: json.movements.into_iter().map(|m| Movement::new(m.incoming, m.outgoing)).collect(),
             phases: json.phases.into_iter().map(|p| Phase { state: p.state, green: p.green }).collect(),
             roads_in: roads(json.roads_in),
             roads_out: roads(json.roads_out),

@@ -81,7 +81,7 @@ fn intersection(
         position: (0.0, 0.0),
         incoming: incoming.iter().map(lane).collect(),
         outgoing: outgoing.iter().map(lane).collect(),
-        movements: links.iter().map(|&(incoming, outgoing)| Movement { incoming, outgoing }).collect(),
+        movements: links.iter().map(|&(incoming, outgoing)| Movement::new(incoming, outgoing)).collect(),
         phases: states
             .iter()
             .map(|state| Phase {

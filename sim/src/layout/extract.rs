@@ -126,7 +126,8 @@ fn intersection(net: &Net, light: &TrafficLight, states: &[&str]) -> Intersectio
     let mut edges_out = Distinct::default();
     let mut movements = Vec::with_capacity(light.links.len());
     for link in &light.links {
-        movements.push(Movement { incoming: incoming.index(link.from), outgoing: outgoing.index(link.to) });
+        let (from, to) = (incoming.index(link.from), outgoing.index(link.to));
+        movements.push(Movement { turnaround: link.turnaround, ..Movement::new(from, to) });
         edges_in.index(link.from.0);
         edges_out.index(link.to.0);
     }

@@ -39,6 +39,19 @@ pub struct Movement {
     pub incoming: usize,
     /// Index into [`Intersection::outgoing`].
     pub outgoing: usize,
+    /// Whether it turns round, back along the road that it came from. SUMO's networks have such links at many junctions, and
+    /// hardly a vehicle takes them.
+    // Not written where it is false, so that networks without such links keep their hash.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub turnaround: bool,
+}
+
+impl Movement {
+    /// A movement onwards, between an incoming and an outgoing lane.
+    #[must_use]
+    pub fn new(incoming: usize, outgoing: usize) -> Self {
+        Self { incoming, outgoing, turnaround: false }
+    }
 }
 
 /// A green phase (paper, definition 3).

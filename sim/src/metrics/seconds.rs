@@ -120,7 +120,7 @@ mod tests {
                 position: (0.0, 0.0),
                 incoming: vec![lane("in_0"), lane("in_1")],
                 outgoing: vec![lane("out")],
-                movements: vec![Movement { incoming: 0, outgoing: 0 }, Movement { incoming: 1, outgoing: 0 }],
+                movements: vec![Movement::new(0, 0), Movement::new(1, 0)],
                 phases: vec![Phase { state: "GG".to_owned(), green: vec![1.0, 1.0] }],
                 roads_in: Vec::new(),
                 roads_out: Vec::new(),

@@ -101,6 +101,8 @@ pub struct Link {
     pub from: (usize, usize),
     /// Edge and lane it leads to.
     pub to: (usize, usize),
+    /// Whether it turns round, to where it came from (SUMO's direction `t`).
+    pub turnaround: bool,
 }
 
 impl Net {

@@ -79,6 +79,7 @@ struct Connection {
     index: usize,
     from: (String, usize),
     to: (String, usize),
+    turnaround: bool,
 }
 
 struct Builder<'p> {
@@ -334,6 +335,7 @@ impl<'p> Builder<'p> {
             index: self.number(attributes, "linkIndex", "connection")?,
             from: (from, self.number(attributes, "fromLane", "connection")?),
             to: (to, self.number(attributes, "toLane", "connection")?),
+            turnaround: attributes.get("dir") == Some("t"),
         });
         Ok(())
     }
@@ -367,6 +369,7 @@ impl<'p> Builder<'p> {
                 index: connection.index,
                 from: self.end_of_connection(&connection.from)?,
                 to: self.end_of_connection(&connection.to)?,
+                turnaround: connection.turnaround,
             };
             self.traffic_lights[light].links.push(link);
         }
