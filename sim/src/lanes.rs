@@ -4,7 +4,9 @@
 //!   (lane id, position, speed) of each vehicle ── LaneTable::add ──> LaneCounts of each lane ──> observation, reward,
 //!                                                                                               controllers, metrics
 //! ```
-//! Only lanes that a layout names are counted; a lane that leaves one intersection and enters the next has one slot.
+//! Only lanes that a layout names are counted; a lane that leaves one intersection and enters the next has one slot. One with
+//! others [behind or beyond](crate::layout::Stretch) it has a second slot, in which their vehicles count too: it is what an agent
+//! sees of that lane, while metrics and the field's rules go by lanes as SUMO has them.
 
 use crate::layout::NetworkLayout;
 use std::collections::HashMap;
@@ -74,24 +76,91 @@ fn bump(count: &mut u16, condition: bool) {
     *count = count.saturating_add(u16::from(condition));
 }
 
+/// Slots of streets that a lane is a part of, each with the metres from the lane's end to the street's.
+#[derive(Debug, Clone, Default)]
+struct Parts {
+    /// Towards a stop line: a vehicle counts in one of them.
+    approaches: Vec<(u32, f64)>,
+    /// From one on: a vehicle takes up room in all of them.
+    exits: Vec<(u32, f64)>,
+}
+
 /// Which slot of a [`LaneTable`] belongs to which lane, and to which row of which agent.
 #[derive(Debug)]
 struct LaneIndex {
     slot_of_id: HashMap<Box<str>, u32>,
     lengths: Vec<f64>,
+    /// For each lane the streets that it is a part of.
+    parts: Vec<Parts>,
     /// Slot of each lane row of the layout: agents in order, incoming lanes then outgoing ones.
     rows: Vec<u32>,
+    /// The same, but slots of streets where there are such.
+    seen: Vec<u32>,
     /// For each agent the first row and how many of its rows are incoming; one more entry closes the last agent.
     agents: Vec<(usize, usize)>,
     /// Distinct lanes that enter any agent, in order of their first row.
     incoming: Vec<u32>,
 }
 
+impl LaneIndex {
+    /// The slot of a lane, a new one if it had none.
+    fn slot(&mut self, id: &str, length: f32) -> u32 {
+        let next = self.lengths.len() as u32;
+        let slot = *self.slot_of_id.entry(id.into()).or_insert(next);
+        if slot == next {
+            self.lengths.push(f64::from(length));
+            self.parts.push(Parts::default());
+        }
+        slot
+    }
+
+    /// Fills [`seen`](Self::seen) and the parts; how many slots of streets there are beyond those of lanes.
+    fn find_streets(&mut self, layout: &NetworkLayout) -> usize {
+        self.seen.clone_from(&self.rows);
+        let lanes = || layout.intersections.iter().flat_map(|at| at.incoming.iter().chain(&at.outgoing));
+        for stretch in lanes().flat_map(|lane| lane.behind.iter().chain(&lane.beyond)) {
+            self.slot(&stretch.id, stretch.length);
+        }
+        // Streets come after all lanes. A lane that several lights control, or lead to, has one.
+        let first = self.lengths.len();
+        let mut streets: HashMap<(u32, bool), u32> = HashMap::new();
+        for (row, lane) in lanes().enumerate() {
+            let (stretches, incoming) = match (lane.behind.is_empty(), lane.beyond.is_empty()) {
+                (true, true) => continue,
+                (true, false) => (&lane.beyond, false),
+                (false, _) => (&lane.behind, true),
+            };
+            let slot = self.rows[row];
+            let next = (first + streets.len()) as u32;
+            let street = *streets.entry((slot, incoming)).or_insert(next);
+            self.seen[row] = street;
+            if street != next {
+                continue;
+            }
+            let own = lane.reach() - lane.length;
+            self.part(slot, incoming, street, if incoming { 0.0 } else { own });
+            for stretch in stretches {
+                let slot = self.slot(&stretch.id, stretch.length);
+                self.part(slot, incoming, street, stretch.metres);
+            }
+        }
+        streets.len()
+    }
+
+    fn part(&mut self, lane: u32, incoming: bool, street: u32, metres: f32) {
+        let Parts { approaches, exits } = &mut self.parts[lane as usize];
+        if incoming { approaches } else { exits }.push((street, f64::from(metres)));
+    }
+}
+
 /// Counts of every lane that the layout names.
 #[derive(Debug, Clone)]
 pub struct LaneTable {
     index: Arc<LaneIndex>,
+    /// Lanes, then streets.
     counts: Vec<LaneCounts>,
+    /// For each lane that is a part of several approaches, which one its next vehicle counts in.
+    turns: Vec<u32>,
     reward_range: f64,
 }
 
@@ -102,7 +171,9 @@ impl LaneTable {
         let mut index = LaneIndex {
             slot_of_id: HashMap::new(),
             lengths: Vec::new(),
+            parts: Vec::new(),
             rows: Vec::with_capacity(layout.lane_rows()),
+            seen: Vec::new(),
             agents: Vec::with_capacity(layout.agents() + 1),
             incoming: Vec::new(),
         };
@@ -112,12 +183,8 @@ impl LaneTable {
             let incoming = intersection.incoming.iter().map(|lane| (lane, true));
             for (lane, is_incoming) in incoming.chain(intersection.outgoing.iter().map(|lane| (lane, false)))
             {
-                let next = index.lengths.len() as u32;
-                let slot = *index.slot_of_id.entry(lane.id.as_str().into()).or_insert(next);
-                if slot == next {
-                    index.lengths.push(f64::from(lane.length));
-                    enters.push(false);
-                }
+                let slot = index.slot(&lane.id, lane.length);
+                enters.resize(index.lengths.len(), false);
                 index.rows.push(slot);
                 if is_incoming && !std::mem::replace(&mut enters[slot as usize], true) {
                     index.incoming.push(slot);
@@ -125,26 +192,41 @@ impl LaneTable {
             }
         }
         index.agents.push((index.rows.len(), 0));
-        let counts = vec![LaneCounts::default(); index.lengths.len()];
-        Self { index: Arc::new(index), counts, reward_range }
+        let streets = index.find_streets(layout);
+        let lanes = index.lengths.len();
+        let counts = vec![LaneCounts::default(); lanes + streets];
+        Self { index: Arc::new(index), counts, turns: vec![0; lanes], reward_range }
     }
 
     /// Forgets all vehicles.
     pub fn clear(&mut self) {
         self.counts.fill(LaneCounts::default());
+        self.turns.fill(0);
     }
 
     /// Counts one vehicle: lane id, position of its front from the start of the lane in metres, speed in m/s.
-    /// A vehicle on a lane that the layout does not name (inside a junction, say) is not counted.
+    /// A vehicle on a lane that the layout does not name (inside a junction, say) is not counted. Those on a lane that leads to
+    /// several incoming lanes count for one of them by turns: which of them each will take is not known.
     pub fn add(&mut self, lane: &str, position: f64, speed: f64) {
         if let Some(&slot) = self.index.slot_of_id.get(lane) {
             let slot = slot as usize;
             let distance_to_end = self.index.lengths[slot] - position;
-            self.counts[slot].add(distance_to_end, speed < STOPPED_SPEED, self.reward_range);
+            let stopped = speed < STOPPED_SPEED;
+            self.counts[slot].add(distance_to_end, stopped, self.reward_range);
+            let Parts { approaches, exits } = &self.index.parts[slot];
+            let mut add = |&(street, metres): &(u32, f64)| {
+                self.counts[street as usize].add(distance_to_end + metres, stopped, self.reward_range);
+            };
+            exits.iter().for_each(&mut add);
+            if !approaches.is_empty() {
+                let turn = &mut self.turns[slot];
+                add(&approaches[*turn as usize % approaches.len()]);
+                *turn = turn.wrapping_add(1);
+            }
         }
     }
 
-    /// Counts one vehicle of which only the lane is known, so that it is in [`LaneCounts::total`] and, if it is stopped, in
+    /// Counts one vehicle of which only the lane is known, in no street but its lane, so that it is in [`LaneCounts::total`] and, if it is stopped, in
     /// [`LaneCounts::stopped`], but in no count of a part of the lane.
     pub fn add_somewhere(&mut self, lane: &str, speed: f64) {
         if let Some(&slot) = self.index.slot_of_id.get(lane) {
@@ -189,6 +271,17 @@ impl LaneTable {
     /// Counts of all rows in layout order.
     pub fn rows(&self) -> impl ExactSizeIterator<Item = &LaneCounts> {
         self.index.rows.iter().map(|&slot| &self.counts[slot as usize])
+    }
+
+    /// Counts of all rows in layout order as agents see them: with the vehicles behind and beyond their lanes.
+    pub fn seen(&self) -> impl ExactSizeIterator<Item = &LaneCounts> {
+        self.index.seen.iter().map(|&slot| &self.counts[slot as usize])
+    }
+
+    /// The same of the incoming lanes of one agent.
+    pub fn seen_incoming_of(&self, agent: usize) -> impl ExactSizeIterator<Item = &LaneCounts> {
+        let (first, incoming) = self.index.agents[agent];
+        self.index.seen[first..first + incoming].iter().map(|&slot| &self.counts[slot as usize])
     }
 
     /// Counts of the incoming lanes of one agent.

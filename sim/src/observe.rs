@@ -3,10 +3,11 @@
 use crate::lanes::{LaneCounts, LaneTable};
 use cross_config::Detection;
 
-/// Writes the counts `[lane rows, bands]` of an observation; `out` is reused.
+/// Writes the counts `[lane rows, bands]` of an observation; `out` is reused. A lane counts with what is behind
+/// or beyond it.
 pub fn observe(lanes: &LaneTable, detection: Detection, out: &mut Vec<u16>) {
     out.clear();
-    for lane in lanes.rows() {
+    for lane in lanes.seen() {
         match detection {
             Detection::Paper => out.extend([lane.stopped_near, lane.moving_near()]),
             Detection::Default => {
@@ -24,7 +25,7 @@ pub fn observe(lanes: &LaneTable, detection: Detection, out: &mut Vec<u16>) {
     }
 }
 
-/// Writes the reward of each agent: minus the vehicles stopped on its incoming lanes, where one within the reward's range
+/// Writes the reward of each agent: minus the vehicles stopped on its incoming lanes and behind them, where one within the reward's range
 /// counts 1 and one farther from the stop line `beyond`.
 pub fn rewards(lanes: &LaneTable, beyond: f32, out: &mut Vec<f32>) {
     let stopped = |lane: &LaneCounts| {
@@ -32,17 +33,17 @@ pub fn rewards(lanes: &LaneTable, beyond: f32, out: &mut Vec<f32>) {
         f32::from(within) + beyond * f32::from(lane.stopped - within)
     };
     out.clear();
-    out.extend((0..lanes.agents()).map(|agent| -lanes.incoming_of(agent).map(stopped).sum::<f32>()));
+    out.extend((0..lanes.agents()).map(|agent| -lanes.seen_incoming_of(agent).map(stopped).sum::<f32>()));
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layout::{Intersection, Lane, NetworkLayout};
+    use crate::layout::{Intersection, Lane, NetworkLayout, Stretch};
 
     /// Two intersections in a row: `a` leads into the first, `b` from the first into the second.
-    fn table() -> LaneTable {
-        let lane = |id: &str| Lane { id: id.to_owned(), length: 200.0, speed: 10.0 };
+    fn layout() -> NetworkLayout {
+        let lane = |id: &str| Lane::new(id, 200.0, 10.0);
         let intersection = |incoming: &[&str], outgoing: &[&str]| Intersection {
             id: String::new(),
             position: (0.0, 0.0),
@@ -53,8 +54,11 @@ mod tests {
             roads_in: vec![],
             roads_out: vec![],
         };
-        let intersections = vec![intersection(&["a"], &["b"]), intersection(&["b"], &["c"])];
-        LaneTable::new(&NetworkLayout { intersections }, 50.0)
+        NetworkLayout { intersections: vec![intersection(&["a"], &["b"]), intersection(&["b"], &["c"])] }
+    }
+
+    fn table() -> LaneTable {
+        LaneTable::new(&layout(), 50.0)
     }
 
     #[test]
@@ -95,6 +99,56 @@ mod tests {
         lanes.clear();
         rewards(&lanes, 1.0, &mut out);
         assert_eq!(out, [0.0, 0.0]);
+    }
+
+    #[test]
+    fn vehicles_behind_an_incoming_lane_are_seen_and_cost_but_are_no_queue_of_its_own() {
+        let mut layout = layout();
+        // 30 m behind the stop line of `a`, and 80 m behind that of `b`.
+        let behind = |metres| Stretch { id: "before".to_owned(), length: 100.0, metres };
+        layout.intersections[0].incoming[0].behind.push(behind(30.0));
+        layout.intersections[1].incoming[0].behind.push(behind(80.0));
+        let mut lanes = LaneTable::new(&layout, 50.0);
+        for _ in 0..3 {
+            lanes.add("before", 90.0, 0.0);
+        }
+        lanes.add("a", 190.0, 0.0);
+        let (mut seen, mut out) = (Vec::new(), Vec::new());
+        observe(&lanes, Detection::Fine, &mut seen);
+        // By turns: two are 40 m from the one stop line, with the vehicle on the lane itself, and one 90 m from the other.
+        assert_eq!(
+            seen[..12],
+            [3, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0],
+            "the lane out of the first is a lane alone"
+        );
+        assert_eq!(seen[12..], [0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+        rewards(&lanes, 0.5, &mut out);
+        assert_eq!(out, [-3.0, -0.5]);
+        assert_eq!(lanes.incoming(0, 0).stopped, 1, "rules go by lanes");
+        assert_eq!(lanes.signalised_incoming().map(|lane| lane.stopped).sum::<u16>(), 1);
+        lanes.clear();
+        lanes.add("before", 90.0, 0.0);
+        observe(&lanes, Detection::Fine, &mut seen);
+        assert_eq!(seen[0], 1, "turns begin anew");
+    }
+
+    #[test]
+    fn vehicles_beyond_an_outgoing_lane_are_seen_in_every_exit_and_cost_nothing() {
+        let mut layout = layout();
+        // `b`, 200 m, leads out of the first; after it come 40 m of the same street. `c` leads there too.
+        let beyond = Stretch { id: "after".to_owned(), length: 40.0, metres: 0.0 };
+        layout.intersections[0].outgoing[0].beyond.push(beyond.clone());
+        layout.intersections[1].outgoing[0].beyond.push(beyond);
+        assert_eq!(layout.intersections[0].outgoing[0].reach(), 240.0);
+        let mut lanes = LaneTable::new(&layout, 50.0);
+        lanes.add("after", 1.0, 0.0);
+        lanes.add("b", 195.0, 0.0);
+        let (mut seen, mut out) = (Vec::new(), Vec::new());
+        observe(&lanes, Detection::Paper, &mut seen);
+        // The second stands 45 m before the end of the street, and 5 m before the stop line of `b`.
+        assert_eq!(seen, [0, 0, 2, 0, 1, 0, 1, 0]);
+        rewards(&lanes, 1.0, &mut out);
+        assert_eq!(out, [0.0, -1.0]);
     }
 
     #[test]

@@ -122,6 +122,56 @@ fn links_for_turning_round_are_told_apart_and_other_layouts_keep_their_hash() {
     assert_ne!(round.hash(), onwards.hash());
 }
 
+/// A road with one lane of 60 m, and the connections of it.
+fn road(id: &str, to: &[(&str, usize)]) -> String {
+    let lane = format!("<lane id=\"{id}_0\" index=\"0\" speed=\"5\" length=\"60\"/>");
+    let mut text = format!("<edge id=\"{id}\" to=\"W\">{lane}</edge>");
+    for (edge, index) in to {
+        text +=
+            &format!("<connection from=\"{id}\" to=\"{edge}\" fromLane=\"0\" toLane=\"{index}\" dir=\"s\"/>");
+    }
+    text
+}
+
+/// Ids and metres of what is behind each incoming lane.
+fn behind(roads: &str) -> Vec<Vec<(String, f32)>> {
+    let programs = program("J", "0", &["Gr", "rG"]) + roads;
+    let layout = layout(&net(2, 2, &programs, &two_links())).unwrap();
+    let lanes = layout.intersections[0].incoming.iter();
+    lanes.map(|lane| lane.behind.iter().map(|behind| (behind.id.clone(), behind.metres)).collect()).collect()
+}
+
+#[test]
+fn what_leads_to_an_incoming_lanes_road_alone_is_behind_it() {
+    // The incoming lanes are 100.5 and 101.5 m long.
+    let at = |id: &str, metres: f32| (id.to_owned(), metres);
+    assert_eq!(behind(""), [[], []]);
+    // The same street three times; the last one begins to be behind it beyond 200 m.
+    let street =
+        road("near", &[("in", 0)]) + &road("middle", &[("near", 0)]) + &road("far", &[("middle", 0)]);
+    assert_eq!(behind(&street), [vec![at("near_0", 100.5), at("middle_0", 160.5)], vec![]]);
+    // To both lanes of the road.
+    let wide = behind(&road("before", &[("in", 0), ("in", 1)]));
+    assert_eq!(wide, [[at("before_0", 100.5)], [at("before_0", 101.5)]]);
+    // Who is on a road that leads elsewhere too need not come.
+    assert_eq!(behind(&road("before", &[("in", 0), ("out", 0)])), [[], []]);
+}
+
+#[test]
+fn what_an_outgoing_lane_leads_to_is_beyond_it_up_to_a_choice() {
+    let onwards = "<connection from=\"out\" to=\"next\" fromLane=\"0\" toLane=\"0\" dir=\"s\"/>";
+    let back = "<connection from=\"out\" to=\"in\" fromLane=\"0\" toLane=\"0\" dir=\"t\"/>";
+    let roads = road("next", &[("last", 0)]) + &road("last", &[("left", 0), ("right", 0)]);
+    let roads = roads + &road("left", &[]) + &road("right", &[]) + onwards + back;
+    let layout = layout(&net(2, 2, &(program("J", "0", &["Gr", "rG"]) + &roads), &two_links())).unwrap();
+    let lanes = layout.intersections[0].outgoing.iter();
+    let beyond: Vec<Vec<(&str, f32)>> =
+        lanes.map(|lane| lane.beyond.iter().map(|own| (own.id.as_str(), own.metres)).collect()).collect();
+    // The metres are those to the end of `last`.
+    assert_eq!(beyond, [vec![("next_0", 60.0), ("last_0", 0.0)], vec![]]);
+    assert_eq!(layout.intersections[0].outgoing[0].reach(), 100.5 + 120.0);
+}
+
 #[test]
 fn lights_without_a_choice_keep_their_program() {
     let programs = program("J", "0", &["Gr", "rG"])

@@ -69,11 +69,8 @@ pub fn made_up_layouts() -> Vec<Named> {
 }
 
 fn intersection(number: usize, shape: &Shape) -> Intersection {
-    let lane = |side: &str, i: usize| Lane {
-        id: format!("j{number}_{side}{i}"),
-        length: 100.0 + 10.0 * i as f32,
-        speed: 13.9,
-    };
+    let lane =
+        |side: &str, i: usize| Lane::new(format!("j{number}_{side}{i}"), 100.0 + 10.0 * i as f32, 13.9);
     let road = |side: &str, i: usize| Road {
         id: format!("j{number}_{side}road{i}"),
         length: 150.0 + 20.0 * i as f32,

@@ -35,7 +35,7 @@ pub(crate) async fn soon<T>(what: &str, future: impl Future<Output = T>) -> T {
 
 /// An intersection with that many incoming lanes (and as many outgoing ones), each with a phase of its own.
 fn intersection(id: &str, lanes: usize) -> Intersection {
-    let lane = |side: &str, i: usize| Lane { id: format!("{id}_{side}_{i}"), length: 200.0, speed: 13.9 };
+    let lane = |side: &str, i: usize| Lane::new(format!("{id}_{side}_{i}"), 200.0, 13.9);
     let road = |side: &str, i: usize| Road {
         id: format!("{id}_{side}_{i}"),
         length: 200.0,

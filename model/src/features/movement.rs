@@ -50,9 +50,9 @@ pub(super) fn lane_green(intersection: &Intersection, weight: LaneGreen) -> Vec<
     green
 }
 
-/// `[lanes, 3]`: incoming, outgoing, length.
+/// `[lanes, 3]`: incoming, outgoing, length, that of the lanes behind or beyond it included.
 pub(super) fn lane_constants(intersection: &Intersection) -> Vec<f32> {
-    let incoming = intersection.incoming.iter().flat_map(|lane| [1.0, 0.0, lane.length / LENGTH_SCALE]);
+    let incoming = intersection.incoming.iter().flat_map(|lane| [1.0, 0.0, lane.reach() / LENGTH_SCALE]);
     let outgoing = intersection.outgoing.iter().flat_map(|lane| [0.0, 1.0, lane.length / LENGTH_SCALE]);
     incoming.chain(outgoing).collect()
 }
@@ -106,7 +106,7 @@ mod tests {
     /// A shared lane (left, straight on, right) and a lane for left turns alone, which lead to three lanes out; in phase 0 the
     /// shared lane may go and left turns give way, phase 1 is for left turns alone.
     fn shared_lane() -> Intersection {
-        let lane = |id: &str| Lane { id: id.to_owned(), length: 300.0, speed: 13.9 };
+        let lane = |id: &str| Lane::new(id, 300.0, 13.9);
         let phase = |state: &str, green: [f32; 4]| Phase { state: state.to_owned(), green: green.to_vec() };
         Intersection {
             id: "j".to_owned(),

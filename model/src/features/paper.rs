@@ -48,7 +48,7 @@ mod tests {
     use cross_sim::layout::{Intersection, Lane, Movement, NetworkLayout, Phase, Road};
 
     fn crossing() -> NetworkLayout {
-        let lane = |id: &str| Lane { id: id.to_owned(), length: 300.0, speed: 13.9 };
+        let lane = |id: &str| Lane::new(id, 300.0, 13.9);
         let road = |id: &str| Road { id: id.to_owned(), length: 300.0, speed: 13.9, lanes: 1, movements: 1 };
         let phase = |state: &str, green| Phase { state: state.to_owned(), green: vec![green] };
         NetworkLayout {

@@ -15,7 +15,7 @@ use tch::Tensor;
 
 /// An intersection whose phases overlap, some green permissive, with more lanes in than out.
 fn intersection(phases: usize, lanes: usize) -> Intersection {
-    let lane = |side: &str, i: usize| Lane { id: format!("{side}{i}"), length: 90.0 + i as f32, speed: 13.9 };
+    let lane = |side: &str, i: usize| Lane::new(format!("{side}{i}"), 90.0 + i as f32, 13.9);
     let road =
         |i: usize| Road { id: format!("road{i}"), length: 80.0, speed: 11.0, lanes: 1 + i, movements: 2 };
     let outgoing = lanes.div_ceil(2);

@@ -21,8 +21,7 @@ use std::sync::Arc;
 /// An intersection with `phases` phases, each serving `lanes` lanes of its own.
 pub fn intersection(id: &str, phases: usize, lanes: usize) -> Intersection {
     let count = phases * lanes;
-    let lane =
-        |side: &str, i: usize| Lane { id: format!("{id}_{side}{i}"), length: 100.0 + i as f32, speed: 13.9 };
+    let lane = |side: &str, i: usize| Lane::new(format!("{id}_{side}{i}"), 100.0 + i as f32, 13.9);
     let road = |side: &str, i: usize| Road {
         id: format!("{id}_{side}road{i}"),
         length: 100.0,

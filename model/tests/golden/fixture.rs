@@ -234,9 +234,8 @@ impl Learning {
 
 impl From<JunctionJson> for Intersection {
     fn from(json: JunctionJson) -> Self {
-        let lanes = |lanes: Vec<LaneJson>| {
-            lanes.into_iter().map(|l| Lane { id: l.id, length: l.length, speed: l.speed }).collect()
-        };
+        let lanes =
+            |lanes: Vec<LaneJson>| lanes.into_iter().map(|l| Lane::new(l.id, l.length, l.speed)).collect();
         let roads = |roads: Vec<RoadJson>| {
             roads
                 .into_iter()

@@ -10,7 +10,7 @@ const HIDDEN: usize = 4;
 
 /// One intersection with that many lanes and phases; the rest of a layout does not concern the wire.
 fn intersection(id: &str, lanes: usize, phases: usize) -> Intersection {
-    let lane = |index| Lane { id: format!("{id}_{index}"), length: 100.0, speed: 13.9 };
+    let lane = |index| Lane::new(format!("{id}_{index}"), 100.0, 13.9);
     Intersection {
         id: id.to_owned(),
         position: (0.0, 0.0),

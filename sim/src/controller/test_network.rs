@@ -75,7 +75,7 @@ fn intersection(
     links: &[(usize, usize)],
     states: &[&str],
 ) -> Intersection {
-    let lane = |id: &&str| Lane { id: (*id).to_owned(), length: LENGTH, speed: 10.0 };
+    let lane = |id: &&str| Lane::new(*id, LENGTH, 10.0);
     Intersection {
         id: id.to_owned(),
         position: (0.0, 0.0),

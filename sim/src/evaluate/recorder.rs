@@ -149,7 +149,7 @@ mod tests {
     use crate::layout::Lane;
 
     fn layout() -> NetworkLayout {
-        let lane = |id: &str| Lane { id: id.to_owned(), length: 100.0, speed: 10.0 };
+        let lane = |id: &str| Lane::new(id, 100.0, 10.0);
         let intersection = |id: &str, incoming: &[&str]| Intersection {
             id: id.to_owned(),
             position: (0.0, 0.0),

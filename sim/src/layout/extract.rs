@@ -1,5 +1,6 @@
 //! From a net to the intersections that agents control.
 
+use super::stretches::Street;
 use super::{Intersection, Lane, LayoutError, Movement, NetworkLayout, Phase, Road};
 use crate::net::{Net, TrafficLight};
 use cross_config::EnvConfig;
@@ -29,6 +30,7 @@ impl NetworkLayout {
         if net.traffic_lights.is_empty() {
             return Err(LayoutError::NoSignals { path: net.path.clone() });
         }
+        let street = Street::new(net);
         let mut intersections = Vec::new();
         for light in &net.traffic_lights {
             let states = green_states(light);
@@ -37,7 +39,7 @@ impl NetworkLayout {
                 continue;
             }
             check_limits(net, light, &states, env)?;
-            intersections.push(intersection(net, light, &states));
+            intersections.push(intersection(net, light, &states, &street));
         }
         if intersections.is_empty() {
             return Err(LayoutError::NoAgents { path: net.path.clone(), lights: net.traffic_lights.len() });
@@ -119,7 +121,7 @@ fn check_limits(
     Ok(())
 }
 
-fn intersection(net: &Net, light: &TrafficLight, states: &[&str]) -> Intersection {
+fn intersection(net: &Net, light: &TrafficLight, states: &[&str], street: &Street) -> Intersection {
     let mut incoming = Distinct::default();
     let mut outgoing = Distinct::default();
     let mut edges_in = Distinct::default();
@@ -138,8 +140,16 @@ fn intersection(net: &Net, light: &TrafficLight, states: &[&str]) -> Intersectio
     Intersection {
         id: light.id.clone(),
         position: position(net, light, &edges_in.0),
-        incoming: incoming.0.iter().map(|&at| lane(net, at)).collect(),
-        outgoing: outgoing.0.iter().map(|&at| lane(net, at)).collect(),
+        incoming: incoming
+            .0
+            .iter()
+            .map(|&at| Lane { behind: street.behind(net, at), ..lane(net, at) })
+            .collect(),
+        outgoing: outgoing
+            .0
+            .iter()
+            .map(|&at| Lane { beyond: street.beyond(net, at), ..lane(net, at) })
+            .collect(),
         movements,
         phases: states
             .iter()
@@ -184,7 +194,7 @@ fn position(net: &Net, light: &TrafficLight, edges_in: &[usize]) -> (f32, f32) {
 
 fn lane(net: &Net, at: (usize, usize)) -> Lane {
     let lane = net.lane(at);
-    Lane { id: lane.id.clone(), length: lane.length as f32, speed: lane.speed as f32 }
+    Lane::new(lane.id.clone(), lane.length as f32, lane.speed as f32)
 }
 
 fn road(net: &Net, edge: usize, movements: usize) -> Road {

@@ -12,6 +12,7 @@
 mod error;
 mod extract;
 mod load;
+mod stretches;
 
 pub use error::LayoutError;
 pub use extract::FixedSignal;
@@ -30,6 +31,45 @@ pub struct Lane {
     pub length: f32,
     /// Speed limit, m/s.
     pub speed: f32,
+    /// Of an incoming lane: lanes from which every way leads to its road, with no signal between them.
+    // Not written where there are none, so that networks without them keep their hash.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub behind: Vec<Stretch>,
+    /// Of an outgoing lane: lanes of the one road that it leads to, and so on, up to a signal or where there is a choice of roads.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub beyond: Vec<Stretch>,
+}
+
+impl Lane {
+    /// A lane with nothing behind or beyond it; metres and m/s.
+    #[must_use]
+    pub fn new(id: impl Into<String>, length: f32, speed: f32) -> Self {
+        Self { id: id.into(), length, speed, behind: Vec::new(), beyond: Vec::new() }
+    }
+
+    /// Length of all that is counted with it, metres.
+    #[must_use]
+    pub fn reach(&self) -> f32 {
+        let far =
+            |stretches: &[Stretch]| stretches.iter().map(|own| own.metres + own.length).fold(0.0, f32::max);
+        self.length.max(far(&self.behind)) + far(&self.beyond)
+    }
+}
+
+/// A lane that is a part of the same street as an intersection's own lane.
+///
+/// A map of a real town cuts a street into edges wherever something about it changes, so that the last one before a stop line may
+/// be a few metres long: whoever waits for its green stands on the lanes behind it. So may the first one after it: a queue that
+/// comes back from the next signal is seen on the lanes beyond it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Stretch {
+    /// SUMO lane id.
+    pub id: String,
+    /// Length, metres.
+    pub length: f32,
+    /// From its end to the stop line, or to the end of all that is beyond the outgoing lane, metres; what lies inside junctions
+    /// between them is not counted.
+    pub metres: f32,
 }
 
 /// A lane-to-lane link of the signal (paper, definition 2).

@@ -113,7 +113,7 @@ mod tests {
     use crate::layout::{Intersection, Lane, Movement, NetworkLayout, Phase};
 
     fn lanes() -> LaneTable {
-        let lane = |id: &str| Lane { id: id.to_owned(), length: 100.0, speed: 10.0 };
+        let lane = |id: &str| Lane::new(id, 100.0, 10.0);
         let layout = NetworkLayout {
             intersections: vec![Intersection {
                 id: "a".to_owned(),

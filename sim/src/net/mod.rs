@@ -23,6 +23,8 @@ pub struct Net {
     pub junctions: HashMap<String, Junction>,
     /// Traffic lights in order of their first program.
     pub traffic_lights: Vec<TrafficLight>,
+    /// Connections between ordinary edges that no traffic light controls, those for turning round left out.
+    pub joins: Vec<Join>,
     edge_of_id: HashMap<String, usize>,
 }
 
@@ -103,6 +105,15 @@ pub struct Link {
     pub to: (usize, usize),
     /// Whether it turns round, to where it came from (SUMO's direction `t`).
     pub turnaround: bool,
+}
+
+/// A connection that no traffic light controls.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Join {
+    /// Edge and lane it starts from, as [`Link::from`].
+    pub from: (usize, usize),
+    /// Edge and lane it leads to.
+    pub to: (usize, usize),
 }
 
 impl Net {

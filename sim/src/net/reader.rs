@@ -1,6 +1,6 @@
 //! Streaming reader of `.net.xml`.
 
-use super::{Edge, Junction, Link, Net, NetError, NetLane, PhaseTimes, Program, TrafficLight};
+use super::{Edge, Join, Junction, Link, Net, NetError, NetLane, PhaseTimes, Program, TrafficLight};
 use crate::xml::{Bounded, MOST_ATTRIBUTES};
 use flate2::bufread::MultiGzDecoder;
 use quick_xml::XmlVersion;
@@ -75,8 +75,8 @@ impl From<NetError> for Fault {
 
 /// A controlled connection whose edges may not have been read yet.
 struct Connection {
-    traffic_light: String,
-    index: usize,
+    /// The light that controls it and the position of its letter there.
+    signal: Option<(String, usize)>,
     from: (String, usize),
     to: (String, usize),
     turnaround: bool,
@@ -323,16 +323,18 @@ impl<'p> Builder<'p> {
     }
 
     fn connection(&mut self, attributes: &Attributes) -> Result<(), Fault> {
-        let Some(traffic_light) = attributes.get("tl") else { return Ok(()) };
         let from = self.required(attributes, "from", "connection")?;
         let to = self.required(attributes, "to", "connection")?;
         // Pedestrian crossings are links too; they carry no vehicles.
         if from.starts_with(':') || to.starts_with(':') {
             return Ok(());
         }
+        let signal = match attributes.get("tl") {
+            Some(light) => Some((light.to_owned(), self.number(attributes, "linkIndex", "connection")?)),
+            None => None,
+        };
         self.connections.push(Connection {
-            traffic_light: traffic_light.to_owned(),
-            index: self.number(attributes, "linkIndex", "connection")?,
+            signal,
             from: (from, self.number(attributes, "fromLane", "connection")?),
             to: (to, self.number(attributes, "toLane", "connection")?),
             turnaround: attributes.get("dir") == Some("t"),
@@ -362,15 +364,21 @@ impl<'p> Builder<'p> {
         if let Some(fault) = self.fault.take() {
             return Err(fault);
         }
+        let mut joins = Vec::new();
         for connection in std::mem::take(&mut self.connections) {
-            // A light without a program in the net (a rail signal, say) is not one that can be controlled.
-            let Some(&light) = self.light_of_id.get(&connection.traffic_light) else { continue };
-            let link = Link {
-                index: connection.index,
-                from: self.end_of_connection(&connection.from)?,
-                to: self.end_of_connection(&connection.to)?,
-                turnaround: connection.turnaround,
+            let ends =
+                || Ok((self.end_of_connection(&connection.from)?, self.end_of_connection(&connection.to)?));
+            let Some((light, index)) = &connection.signal else {
+                // Only what is behind a stop line is read from these, so that one that leads nowhere is no reason to refuse a net.
+                if let (false, Ok::<_, NetError>((from, to))) = (connection.turnaround, ends()) {
+                    joins.push(Join { from, to });
+                }
+                continue;
             };
+            // A light without a program in the net (a rail signal, say) is not one that can be controlled.
+            let Some(&light) = self.light_of_id.get(light) else { continue };
+            let (from, to) = ends()?;
+            let link = Link { index: *index, from, to, turnaround: connection.turnaround };
             self.traffic_lights[light].links.push(link);
         }
         for light in &mut self.traffic_lights {
@@ -381,6 +389,7 @@ impl<'p> Builder<'p> {
             edges: self.edges,
             junctions: self.junctions,
             traffic_lights: self.traffic_lights,
+            joins,
             edge_of_id: self.edge_of_id,
         })
     }
