@@ -3,7 +3,7 @@
 use crate::error::{ConfigError, in_range};
 use serde::{Deserialize, Serialize};
 
-/// Which vehicles on a lane are counted, and into which bands.
+/// Which vehicles on a lane, and on what lies behind or beyond it on the same street, are counted, and into which bands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Detection {

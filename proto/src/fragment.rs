@@ -298,7 +298,7 @@ fn check_floats(field: &str, values: &[f32], rows: usize, layout: &NetworkLayout
 
 /// Finite is not enough: one absurd value would make the loss of a whole round infinite.
 fn check_log_probs(values: &[f32], layout: &NetworkLayout) -> Result<(), Violation> {
-    match first(values.iter(), |&p| (p < LEAST_LOG_PROB) | (p > LOG_PROB_SLACK)) {
+    match first(values.iter(), |&p| (p < LEAST_LOG_PROB) | (p > LOG_PROB_SLACK) | p.is_nan()) {
         Some(index) => Err(violation(
             "log_probs",
             format!(
@@ -311,7 +311,7 @@ fn check_log_probs(values: &[f32], layout: &NetworkLayout) -> Result<(), Violati
     }
 }
 
-/// A reward counts vehicles on the incoming lanes, and a count has 16 bits.
+/// A reward counts vehicles on the incoming lanes and behind them, and a count has 16 bits.
 fn check_rewards(values: &[f32], layout: &NetworkLayout) -> Result<(), Violation> {
     let most: Vec<f32> =
         layout.intersections.iter().map(|own| f32::from(u16::MAX) * own.incoming.len() as f32).collect();

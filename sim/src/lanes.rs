@@ -207,12 +207,17 @@ impl LaneTable {
     /// Counts one vehicle: lane id, position of its front from the start of the lane in metres, speed in m/s.
     /// A vehicle on a lane that the layout does not name (inside a junction, say) is not counted. Those on a lane that leads to
     /// several incoming lanes count for one of them by turns: which of them each will take is not known.
+    /// So it depends on the order of vehicles, which is SUMO's.
     pub fn add(&mut self, lane: &str, position: f64, speed: f64) {
         if let Some(&slot) = self.index.slot_of_id.get(lane) {
             let slot = slot as usize;
             let distance_to_end = self.index.lengths[slot] - position;
             let stopped = speed < STOPPED_SPEED;
             self.counts[slot].add(distance_to_end, stopped, self.reward_range);
+            if self.counts.len() == self.turns.len() {
+                // Most networks have no streets beside their lanes.
+                return;
+            }
             let Parts { approaches, exits } = &self.index.parts[slot];
             let mut add = |&(street, metres): &(u32, f64)| {
                 self.counts[street as usize].add(distance_to_end + metres, stopped, self.reward_range);

@@ -114,12 +114,13 @@ fn links_for_turning_round_are_told_apart_and_other_layouts_keep_their_hash() {
     assert!(onwards.intersections[0].movements.iter().all(|movement| !movement.turnaround));
     // As before there was the field.
     assert!(!serde_json::to_string(&onwards).unwrap().contains("turnaround"));
-    let links = link("J", 0, 0, 0) + &link("J", 1, 1, 1).replace("dir=\"s\"", "dir=\"t\"");
-    let round = layout(&net(2, 2, &programs, &links)).unwrap();
-    let told: Vec<bool> =
-        round.intersections[0].movements.iter().map(|movement| movement.turnaround).collect();
-    assert_eq!(told, [false, true]);
-    assert_ne!(round.hash(), onwards.hash());
+    for direction in ["t", "T"] {
+        let second = link("J", 1, 1, 1).replace("dir=\"s\"", &format!("dir=\"{direction}\""));
+        let round = layout(&net(2, 2, &programs, &(link("J", 0, 0, 0) + &second))).unwrap();
+        let movements = round.intersections[0].movements.iter();
+        assert_eq!(movements.map(|movement| movement.turnaround).collect::<Vec<_>>(), [false, true]);
+        assert_ne!(round.hash(), onwards.hash());
+    }
 }
 
 /// A road with one lane of 60 m, and the connections of it.
@@ -158,12 +159,39 @@ fn what_leads_to_an_incoming_lanes_road_alone_is_behind_it() {
 }
 
 #[test]
+fn odd_connections_without_a_signal_are_no_reason_to_refuse_a_net() {
+    for odd in [
+        "<connection from=\"in\" to=\"nowhere\" fromLane=\"0\" toLane=\"0\" dir=\"s\"/>",
+        "<connection from=\"in\" to=\"out\" fromLane=\"7\" toLane=\"0\" dir=\"s\"/>",
+        "<connection from=\"in\" to=\"out\" fromLane=\"x\" toLane=\"0\" dir=\"s\"/>",
+        "<connection from=\"in\"/>",
+    ] {
+        assert_eq!(behind(odd), [[], []], "{odd}");
+    }
+}
+
+#[test]
+fn what_is_behind_is_found_once_and_not_without_end() {
+    let twice = road("a", &[("in", 0)]) + &road("b", &[("a", 0), ("a", 0)]);
+    assert_eq!(behind(&twice)[0], [("a_0".to_owned(), 100.5), ("b_0".to_owned(), 160.5)]);
+    // A hundred lanes without length to speak of.
+    let mut points = String::new();
+    for number in 0..100 {
+        let to = if number == 0 { "in".to_owned() } else { format!("p{}", number - 1) };
+        points += &road(&format!("p{number}"), &[(&to, 0)]).replace("length=\"60\"", "length=\"0.1\"");
+    }
+    assert_eq!(behind(&points)[0].len(), 16);
+}
+
+#[test]
 fn what_an_outgoing_lane_leads_to_is_beyond_it_up_to_a_choice() {
     let onwards = "<connection from=\"out\" to=\"next\" fromLane=\"0\" toLane=\"0\" dir=\"s\"/>";
     let back = "<connection from=\"out\" to=\"in\" fromLane=\"0\" toLane=\"0\" dir=\"t\"/>";
     let roads = road("next", &[("last", 0)]) + &road("last", &[("left", 0), ("right", 0)]);
     let roads = roads + &road("left", &[]) + &road("right", &[]) + onwards + back;
     let layout = layout(&net(2, 2, &(program("J", "0", &["Gr", "rG"]) + &roads), &two_links())).unwrap();
+    let behind = |lane: &cross_sim::layout::Lane| lane.behind.is_empty();
+    assert!(layout.intersections[0].incoming.iter().all(behind), "turning round leads nowhere");
     let lanes = layout.intersections[0].outgoing.iter();
     let beyond: Vec<Vec<(&str, f32)>> =
         lanes.map(|lane| lane.beyond.iter().map(|own| (own.id.as_str(), own.metres)).collect()).collect();

@@ -255,6 +255,7 @@ fn other_weights_are_another_policy() {
 
 #[test]
 fn the_published_policy_is_what_its_configuration_gives() {
+    let run = Run::new();
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     for entry in std::fs::read_dir(root.join("pretrained")).unwrap() {
         let folder = entry.unwrap().path();
@@ -275,5 +276,10 @@ fn the_published_policy_is_what_its_configuration_gives() {
         let hash = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect::<String>();
         assert_eq!(files["model.safetensors"]["sha256"], hash, "{name}");
         assert!(bytes.len() < 5 << 20, "{name}: a few megabytes at most");
+        // What it was trained on is still what these names mean: else pages would call it zero-shot there.
+        for (scenario, layout) in metadata["layouts"].as_object().unwrap() {
+            let info = run.call(&["scenario", "info", scenario, "--json"]).json();
+            assert_eq!(info["hashes"]["layout"], *layout, "{name}: {scenario}");
+        }
     }
 }

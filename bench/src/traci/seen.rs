@@ -5,7 +5,7 @@ use cross_sim::lanes::{LaneCounts, LaneTable};
 use cross_sim::layout::NetworkLayout;
 use std::path::Path;
 
-/// Counts `[decisions][lane rows]`: all that observations and rewards are made of.
+/// Counts `[decisions][lane rows]` of the layout's lanes.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Seen {
     decisions: Vec<Vec<LaneCounts>>,

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 /// Generation of the figures. Raise it with every change to the environment, the rules or the metrics after which an episode
 /// may have other figures; then nothing that is stored counts any more.
-const GENERATION: u32 = 1;
+const GENERATION: u32 = 2;
 
 /// Everything that an episode's result depends on, but for the processor's vector instructions: with others a policy's sums
 /// round otherwise, which moves a figure within what seeds differ by. A folder is not meant to be carried between machines.

@@ -36,7 +36,8 @@ pub struct ControllerView<'a> {
     pub layout: &'a NetworkLayout,
     /// What a learned policy sees: counts by detection band, and the current phase of each agent.
     pub observation: &'a Observation,
-    /// Vehicle counts of every lane, whole lane and within 50 m of its end.
+    /// Vehicle counts of every lane, whole lane and within 50 m of its end; without what is behind or beyond it, which a learned
+    /// policy sees.
     pub lanes: &'a LaneTable,
     /// Decision of the episode, from 0.
     pub step: u32,

@@ -52,7 +52,7 @@ pub struct Timings {
 /// What a step led to; the observation is [`Env::observation`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step<'a> {
-    /// Reward of each agent `[agents]`: minus the vehicles stopped on its incoming lanes, those beyond the reward's range
+    /// Reward of each agent `[agents]`: minus the vehicles stopped on its incoming lanes and behind them, those beyond the reward's range
     /// weighted.
     pub rewards: &'a [f32],
     /// Whether the episode is over. It was cut off by time then, it has no end of its own.

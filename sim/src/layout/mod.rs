@@ -31,11 +31,12 @@ pub struct Lane {
     pub length: f32,
     /// Speed limit, m/s.
     pub speed: f32,
-    /// Of an incoming lane: lanes from which every way leads to its road, with no signal between them.
+    /// Of an incoming lane: lanes that lead to its road alone, those that lead to theirs alone, and so on, with no signal between.
     // Not written where there are none, so that networks without them keep their hash.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub behind: Vec<Stretch>,
-    /// Of an outgoing lane: lanes of the one road that it leads to, and so on, up to a signal or where there is a choice of roads.
+    /// Of an outgoing lane: lanes of the one road that it leads to, and so on, up to a signal or a lane that leads to several
+    /// roads.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub beyond: Vec<Stretch>,
 }

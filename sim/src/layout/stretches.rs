@@ -13,10 +13,14 @@ use crate::lanes::FAR_METRES;
 use crate::net::Net;
 use std::collections::{HashMap, HashSet};
 
+/// Most lanes behind or beyond one; the maps that come with the set-up have up to nine. A map of lanes without length must not take
+/// memory for each pair of them.
+const MOST_STRETCHES: usize = 16;
+
 /// Edge and lane, as indices into [`Net::edges`] and its lanes.
 type At = (usize, usize);
 
-/// How lanes follow each other where no signal is between them and there is one road to go on.
+/// How lanes follow each other where no signal is between them and a lane leads to one road alone.
 pub(super) struct Street {
     before: HashMap<At, Vec<At>>,
     after: HashMap<At, Vec<At>>,
@@ -57,22 +61,28 @@ impl Street {
     }
 }
 
-/// The lanes that follow one, the nearest first on each way, with the metres to where each begins; none that begins
-/// [`FAR_METRES`] away, beyond which no band tells vehicles apart.
+/// The lanes that follow one by the shortest ways, the nearest first, with the metres to where each begins; at most
+/// [`MOST_STRETCHES`], and none that begins [`FAR_METRES`] away.
 fn follow(net: &Net, next: &HashMap<At, Vec<At>>, from: At, metres: f64) -> Vec<(At, f64)> {
     let mut found = Vec::new();
     // Ways part and meet again.
-    let mut seen = HashSet::from([from]);
-    let mut open = vec![(from, metres)];
-    while let Some((at, metres)) = open.pop() {
-        if metres >= FAR_METRES {
+    let mut seen = HashSet::new();
+    // Each with the metres to where it begins and to where it ends.
+    let mut open = vec![(from, metres, metres)];
+    while let Some(nearest) = (0..open.len()).min_by(|&a, &b| open[a].1.total_cmp(&open[b].1)) {
+        let (at, begins, ends) = open.swap_remove(nearest);
+        if !seen.insert(at) {
             continue;
         }
-        for &lane in next.get(&at).into_iter().flatten() {
-            if seen.insert(lane) {
-                found.push((lane, metres));
-                open.push((lane, metres + net.lane(lane).length));
-            }
+        if at != from {
+            found.push((at, begins));
+        }
+        if found.len() == MOST_STRETCHES {
+            break;
+        }
+        if ends < FAR_METRES {
+            let onwards = next.get(&at).into_iter().flatten();
+            open.extend(onwards.map(|&lane| (lane, ends, ends + net.lane(lane).length)));
         }
     }
     found

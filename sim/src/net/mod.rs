@@ -1,7 +1,8 @@
 //! What a SUMO net says about roads and signals.
 //!
 //! [`Net::read`] streams a `.net.xml` (or `.net.xml.gz`) once and keeps only what signal control needs: ordinary edges
-//! with their lanes, the positions of junctions, traffic light programs, and the connections that a traffic light controls.
+//! with their lanes, the positions of junctions, traffic light programs, and the connections between them, apart by whether
+//! a traffic light controls them.
 //! Everything inside junctions (edges whose ids begin with `:`) is skipped.
 
 mod error;
@@ -103,7 +104,7 @@ pub struct Link {
     pub from: (usize, usize),
     /// Edge and lane it leads to.
     pub to: (usize, usize),
-    /// Whether it turns round, to where it came from (SUMO's direction `t`).
+    /// Whether it turns round, to where it came from (SUMO's directions `t` and, where traffic keeps left, `T`).
     pub turnaround: bool,
 }
 

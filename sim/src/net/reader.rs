@@ -73,7 +73,7 @@ impl From<NetError> for Fault {
     }
 }
 
-/// A controlled connection whose edges may not have been read yet.
+/// A connection whose edges may not have been read yet.
 struct Connection {
     /// The light that controls it and the position of its letter there.
     signal: Option<(String, usize)>,
@@ -323,21 +323,30 @@ impl<'p> Builder<'p> {
     }
 
     fn connection(&mut self, attributes: &Attributes) -> Result<(), Fault> {
+        let turnaround = matches!(attributes.get("dir"), Some("t" | "T"));
+        let Some(light) = attributes.get("tl") else {
+            // Only what is behind and beyond junctions is read from these, so that an odd one is no reason to refuse a net.
+            let end =
+                |edge, lane| Some((attributes.get(edge)?.to_owned(), attributes.get(lane)?.parse().ok()?));
+            if let (Some(from), Some(to), false) = (end("from", "fromLane"), end("to", "toLane"), turnaround)
+                && !from.0.starts_with(':')
+                && !to.0.starts_with(':')
+            {
+                self.connections.push(Connection { signal: None, from, to, turnaround });
+            }
+            return Ok(());
+        };
         let from = self.required(attributes, "from", "connection")?;
         let to = self.required(attributes, "to", "connection")?;
         // Pedestrian crossings are links too; they carry no vehicles.
         if from.starts_with(':') || to.starts_with(':') {
             return Ok(());
         }
-        let signal = match attributes.get("tl") {
-            Some(light) => Some((light.to_owned(), self.number(attributes, "linkIndex", "connection")?)),
-            None => None,
-        };
         self.connections.push(Connection {
-            signal,
+            signal: Some((light.to_owned(), self.number(attributes, "linkIndex", "connection")?)),
             from: (from, self.number(attributes, "fromLane", "connection")?),
             to: (to, self.number(attributes, "toLane", "connection")?),
-            turnaround: attributes.get("dir") == Some("t"),
+            turnaround,
         });
         Ok(())
     }
@@ -368,18 +377,20 @@ impl<'p> Builder<'p> {
         for connection in std::mem::take(&mut self.connections) {
             let ends =
                 || Ok((self.end_of_connection(&connection.from)?, self.end_of_connection(&connection.to)?));
-            let Some((light, index)) = &connection.signal else {
-                // Only what is behind a stop line is read from these, so that one that leads nowhere is no reason to refuse a net.
-                if let (false, Ok::<_, NetError>((from, to))) = (connection.turnaround, ends()) {
-                    joins.push(Join { from, to });
-                }
-                continue;
-            };
+            let turnaround = connection.turnaround;
             // A light without a program in the net (a rail signal, say) is not one that can be controlled.
-            let Some(&light) = self.light_of_id.get(light) else { continue };
-            let (from, to) = ends()?;
-            let link = Link { index: *index, from, to, turnaround: connection.turnaround };
-            self.traffic_lights[light].links.push(link);
+            let signal = connection.signal.as_ref();
+            match signal.and_then(|(light, index)| Some((*self.light_of_id.get(light)?, *index))) {
+                Some((light, index)) => {
+                    let (from, to) = ends()?;
+                    self.traffic_lights[light].links.push(Link { index, from, to, turnaround });
+                }
+                None => {
+                    if let (false, Ok::<_, NetError>((from, to))) = (turnaround, ends()) {
+                        joins.push(Join { from, to });
+                    }
+                }
+            }
         }
         for light in &mut self.traffic_lights {
             light.links.sort_by_key(|link| link.index);
