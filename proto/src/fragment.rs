@@ -298,7 +298,7 @@ fn check_floats(field: &str, values: &[f32], rows: usize, layout: &NetworkLayout
 
 /// Finite is not enough: one absurd value would make the loss of a whole round infinite.
 fn check_log_probs(values: &[f32], layout: &NetworkLayout) -> Result<(), Violation> {
-    match first(values.iter(), |&p| (p < LEAST_LOG_PROB) | (p > LOG_PROB_SLACK) | p.is_nan()) {
+    match first(values.iter(), |p| !(LEAST_LOG_PROB..=LOG_PROB_SLACK).contains(p)) {
         Some(index) => Err(violation(
             "log_probs",
             format!(

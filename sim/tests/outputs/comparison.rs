@@ -2,11 +2,23 @@
 
 use super::{EMITTED, Outputs, Trip, attribute, mean_std, number, signalised};
 use cross_config::EnvConfig;
+use cross_sim::layout::{NetworkLayout, load_layout};
 use cross_sim::metrics::{EpisodeMetrics, MeanStd, Metric};
 use cross_sim::scenario::Scenario;
 use std::collections::{HashMap, HashSet};
 
 const EXACT: f64 = 1e-6;
+
+/// The lanes behind incoming ones: length, and the metres from the end to each stop line.
+fn behind(layout: &NetworkLayout) -> HashMap<String, (f64, Vec<f64>)> {
+    let mut lanes: HashMap<String, (f64, Vec<f64>)> = HashMap::new();
+    for stretch in layout.intersections.iter().flat_map(|agent| &agent.incoming).flat_map(|lane| &lane.behind)
+    {
+        let entry = lanes.entry(stretch.id.clone()).or_insert((f64::from(stretch.length), Vec::new()));
+        entry.1.push(f64::from(stretch.metres));
+    }
+    lanes
+}
 
 /// Our figures of an episode, and the scenario's name for messages.
 pub(crate) struct Comparison<'c> {
@@ -34,7 +46,8 @@ impl Comparison<'_> {
         let end = begin + f64::from(seconds);
         let net = signalised(&std::fs::read_to_string(&scenario.net).unwrap());
         let trips = outputs.trips();
-        self.seconds(&net, agents, (begin, end), outputs);
+        let layout = load_layout(scenario, &EnvConfig::default()).unwrap();
+        self.seconds(&net, agents, (begin, end), &layout, outputs);
         self.trips(&trips);
         self.totals(&trips, seconds, outputs);
         // A vehicle that teleports is recorded each second, though it gives nothing off on its way.
@@ -50,6 +63,7 @@ impl Comparison<'_> {
         net: &HashMap<String, HashMap<String, f64>>,
         agents: &[String],
         (begin, end): (f64, f64),
+        layout: &NetworkLayout,
         outputs: &Outputs,
     ) {
         let lanes = lanes_of(net, agents);
@@ -64,10 +78,17 @@ impl Comparison<'_> {
         let decisions = seconds
             .chunks_exact(config.decision_seconds as usize)
             .map(|interval| &interval[interval.len() - 1]);
-        let stopped: usize = decisions
-            .map(|second| agents.iter().map(|id| second.halting_near(&net[id], metres)).sum::<usize>())
-            .sum();
-        self.close(self.ours.episode_return, -(stopped as f64) / agents.len() as f64, EXACT, "return");
+        let behind = behind(layout);
+        let (mut stopped, mut least, mut most) = (0, 0, 0);
+        for second in decisions {
+            stopped += agents.iter().map(|id| second.halting_near(&net[id], metres)).sum::<usize>();
+            // A lane that leads to several stop lines has its vehicles counted by turns, so that only bounds are known.
+            let (always, ever) = second.halting_behind(&behind, metres);
+            (least, most) = (least + always, most + ever);
+        }
+        let ours = -self.ours.episode_return * agents.len() as f64;
+        let theirs = ours.clamp((stopped + least) as f64, (stopped + most) as f64);
+        self.close(ours, theirs, EXACT, "return, of all agents, without its sign");
 
         let summary = outputs.lines("summary.xml", "step");
         let summary = &summary[..seconds.len()];

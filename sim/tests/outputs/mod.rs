@@ -154,6 +154,24 @@ impl Second {
         self.vehicles.iter().filter(|(lane, _, halting)| *halting && lanes.contains(lane)).count()
     }
 
+    /// Halting vehicles on lanes behind stop lines, given length and metres to these: those within so many metres of all, and of
+    /// any.
+    pub(crate) fn halting_behind(
+        &self,
+        lanes: &HashMap<String, (f64, Vec<f64>)>,
+        metres: f64,
+    ) -> (usize, usize) {
+        let (mut all, mut any) = (0, 0);
+        for (lane, position, _) in self.vehicles.iter().filter(|(_, _, halting)| *halting) {
+            let Some((length, to)) = lanes.get(lane) else { continue };
+            let near = |to: &&f64| length - position + **to <= metres;
+            let within = to.iter().filter(near).count();
+            all += usize::from(within == to.len());
+            any += usize::from(within > 0);
+        }
+        (all, any)
+    }
+
     /// Halting vehicles within so many metres of the end of these lanes, given the lanes' lengths.
     pub(crate) fn halting_near(&self, lanes: &HashMap<String, f64>, metres: f64) -> usize {
         let near =
