@@ -231,8 +231,8 @@ impl LaneTable {
         }
     }
 
-    /// Counts one vehicle of which only the lane is known, in no street but its lane, so that it is in [`LaneCounts::total`] and, if it is stopped, in
-    /// [`LaneCounts::stopped`], but in no count of a part of the lane.
+    /// Counts one vehicle of which only the lane is known, in no street but its lane, so that it is in [`LaneCounts::total`] and,
+    /// if it is stopped, in [`LaneCounts::stopped`], but in no count of a part of the lane.
     pub fn add_somewhere(&mut self, lane: &str, speed: f64) {
         if let Some(&slot) = self.index.slot_of_id.get(lane) {
             self.counts[slot as usize].add_somewhere(speed < STOPPED_SPEED);
